@@ -1,0 +1,38 @@
+# Everything runs inside .venv, which is set up on first use and again when the packages asked for have changed.
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: league setup check test test-slow clean
+
+league: $(STAMP)  ## Set everything up and run a small league.
+	$(BIN)/league run --preset quickstart
+
+setup: $(STAMP)  ## Create .venv with all that running, watching and testing need.
+
+check: $(STAMP)  ## Format, lint, types, layers.
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+test: check  ## What must pass before a change is shared.
+	$(BIN)/pytest -m "not slow"
+
+test-slow: $(STAMP)  ## The tests that train.
+	$(BIN)/pytest -m slow
+
+clean:  ## Remove what make and the tools wrote; leagues stay.
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || { \
+		echo "Robot League needs Python 3.11, 3.12 or 3.13, and $(PYTHON) is not one: name it, as in make PYTHON=python3.12 $(MAKECMDGOALS)"; \
+		exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	extras=view,dash,dev; if nvidia-smi -L >/dev/null 2>&1; then extras=$$extras,cuda; fi; \
+		$(BIN)/python -m pip install -c constraints.txt -e ".[$$extras]"
+	@touch $@

@@ -1,0 +1,1 @@
+"""Policies that act in JAX and learn in torch, and the learners that train them."""

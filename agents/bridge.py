@@ -1,0 +1,61 @@
+"""The one place where jax and torch meet: arrays cross by dlpack, without a copy and without the host.
+
+Two traps, both silent. A JAX buffer handed to torch is freed when the torch tensor dies, on JAX's stream, while torch
+kernels may still be queued: `to_torch` tensors must live until torch has finished, which `Learner.update` ensures by
+reading its losses back. And torch changes parameters in place, which JAX may not see happen: `to_jax` copies first.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import torch
+from jax import Array
+from torch import Tensor
+
+from agents.happo import Batch
+from agents.policy import Params, learned
+from agents.rollout import Trajectory
+from arenas.arena import TeamSpec
+
+
+def to_torch(array: Array) -> Tensor:
+    """A torch view of a JAX array, on the same device."""
+    return torch.from_dlpack(array)
+
+
+def team_batch(trajectory: Trajectory, team: TeamSpec, index: int, worlds: slice, shaping: float) -> Batch:
+    """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
+
+    The reward is the outcome plus `shaping` times the dense hints.
+    """
+    rewards = trajectory.reward[:, worlds, index] + shaping * trajectory.shaping[:, worlds, index]
+
+    def of_agents(values: Mapping[str, Array]) -> Sequence[Tensor]:
+        return [to_torch(values[agent.name][:, worlds]) for agent in team.agents]
+
+    return Batch(
+        of_agents(trajectory.observations),
+        of_agents(trajectory.next_observations),
+        of_agents(trajectory.actions),
+        of_agents(trajectory.log_probs),
+        to_torch(rewards),
+        *(to_torch(flag[:, worlds]) for flag in (trajectory.terminated, trajectory.truncated, trajectory.void)),
+    )
+
+
+def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:
+    """Actors' state dicts as policies: all floats cross as one flat vector, for each crossing costs 0.1 ms."""
+    floats = [t for p in policies for t in p.values() if t.is_floating_point()]
+    flat = jax.dlpack.from_dlpack(torch.cat([t.flatten() for t in floats]))  # cat copies
+    out, start = [], 0
+    for policy in policies:
+        arrays: dict[str, Array] = {}
+        for name, tensor in policy.items():
+            if tensor.is_floating_point():
+                arrays[name] = flat[start : start + tensor.numel()].reshape(tuple(tensor.shape))
+                start += tensor.numel()
+            else:
+                arrays[name] = jnp.asarray(tensor.cpu().numpy())
+        out.append(learned(arrays))
+    return out

@@ -1,0 +1,64 @@
+"""Advantages and value normalisation, in torch. T time, N worlds."""
+
+import torch
+from torch import Tensor, nn
+
+
+def advantages(
+    rewards: Tensor,
+    values: Tensor,
+    next_values: Tensor,
+    terminated: Tensor,
+    ended: Tensor,
+    gamma: float,
+    lam: float,
+) -> Tensor:
+    """Generalised advantage estimation (Schulman et al., 2016, eq. 16), (T, N).
+
+    `values` are V(s_t), `next_values` V(s_{t+1}) of the state that really followed, before any new episode began. A
+    `terminated` state has no future; an `ended` episode (terminated, truncated or void) hands nothing back to the one
+    before it. So a time limit is bootstrapped with the value of its true last observation, and a real end is not.
+    """
+    advantage = torch.zeros_like(rewards[0])
+    out = torch.empty_like(rewards)
+    for t in reversed(range(len(rewards))):
+        # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
+        delta = rewards[t] + gamma * next_values[t] * ~terminated[t] - values[t]
+        advantage = delta + gamma * lam * advantage * ~ended[t]
+        out[t] = advantage
+    return out
+
+
+class ValueNorm(nn.Module):
+    """Running mean and variance of returns with a bias correction, as HARL's: β = 0.99999, variance at least 0.01."""
+
+    def __init__(self, beta: float = 0.99999):
+        super().__init__()
+        self.beta = beta
+        self.register_buffer("mean_sum", torch.zeros(()))
+        self.register_buffer("square_sum", torch.zeros(()))
+        self.register_buffer("weight", torch.zeros(()))
+
+    @torch.no_grad()
+    def update(self, returns: Tensor) -> None:
+        """Take a batch of returns into account."""
+        self.mean_sum.mul_(self.beta).add_((1 - self.beta) * returns.mean())
+        self.square_sum.mul_(self.beta).add_((1 - self.beta) * (returns**2).mean())
+        self.weight.mul_(self.beta).add_(1 - self.beta)
+
+    def statistics(self) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation now; 0 and 1 before the first update."""
+        if self.weight == 0:
+            return torch.zeros_like(self.weight), torch.ones_like(self.weight)
+        mean = self.mean_sum / self.weight
+        return mean, torch.sqrt((self.square_sum / self.weight - mean**2).clamp(min=0.01))
+
+    def normalise(self, returns: Tensor) -> Tensor:
+        """Returns in the critic's units."""
+        mean, std = self.statistics()
+        return (returns - mean) / std
+
+    def denormalise(self, values: Tensor) -> Tensor:
+        """The critic's values in units of reward."""
+        mean, std = self.statistics()
+        return values * std + mean

@@ -1,0 +1,67 @@
+"""Bodies and rules: games with physics, one per file, behind one contract. Knows nothing of learning.
+
+`names()` lists the arenas, `settings(name)` gives an arena's settings, `load(name)` builds it. An arena of your own needs
+no registration: `path/to/duel.py:duel` names the arena `duel` of a file, `package.module:duel` that of a module.
+"""
+
+import difflib
+import importlib
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Unpack
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena, Settings, Where
+
+MODULES = ("arenas.sumo",)
+
+
+def names() -> list[str]:
+    """The arenas that come with the league."""
+    return sorted(known())
+
+
+def known() -> dict[str, "Settings"]:
+    """Default settings of the arenas that come with the league, by name."""
+    return {s.name: s for module in MODULES for s in importlib.import_module(module).ARENAS}
+
+
+def settings(name: str) -> "Settings":
+    """An arena's default settings. Raises ArenaError, one line with what exists, for an unknown name."""
+    from arenas.arena import ArenaError
+
+    where, _, own = name.rpartition(":")
+    found = {s.name: s for s in _module(where).ARENAS} if where else known()
+    if own in found:
+        return replace(found[own], name=name)
+    near = difflib.get_close_matches(own, found, 1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    raise ArenaError(f"unknown arena {name!r}: {hint}(arenas: {', '.join(sorted(found))}; your own: file.py:name)")
+
+
+def load(name: str, **where: Unpack["Where"]) -> "Arena":
+    """An arena by name with its default settings."""
+    return settings(name).build(**where)
+
+
+def _module(where: str) -> ModuleType:
+    """The module at a path or of a name; it lists its arenas' settings in `ARENAS`."""
+    from arenas.arena import ArenaError
+
+    if where.endswith(".py"):
+        path = Path(where)
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        if spec is None or spec.loader is None or not path.is_file():
+            raise ArenaError(f"no arena file {where}: give a path such as my/duel.py:duel")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    else:
+        try:
+            module = importlib.import_module(where)
+        except ModuleNotFoundError as error:
+            raise ArenaError(f"no arena module {where!r}: give a file such as my/duel.py:duel or a module") from error
+    if not hasattr(module, "ARENAS"):
+        raise ArenaError(f"{where} lists no arenas: it needs ARENAS = (settings, ...)")
+    return module

@@ -1,0 +1,1 @@
+"""Robots, one per file: bodies built from numbers with units and sources."""

@@ -1,0 +1,138 @@
+"""Leatherback: NVIDIA's four-wheel rover on the scale of an F1TENTH car.
+
+| quantity              | value                    | source                                                          |
+|-----------------------|--------------------------|-----------------------------------------------------------------|
+| wheel radius          | 0.052 m                  | NVIDIA Isaac Sim tutorial "ROS 2 Ackermann" for Leatherback     |
+| wheelbase, track      | 0.32 m, 0.24 m           | same                                                            |
+| steering range        | ±0.75 rad                | HARL-A's environments (the tutorial: ±0.785)                    |
+| mass                  | 3.8 kg                   | assumed, as F1TENTH: 3.74 kg (f1tenth_gym)                      |
+| chassis               | 0.50 × 0.31 × 0.09 m     | assumed: covers the wheels, so that rovers meet box to box      |
+| centre of mass        | about 0.07 m high        | assumed, as F1TENTH: 0.074 m                                    |
+| wheel drive           | velocity servo 0.05 N·m·s/rad, at most ±0.9 N·m | chosen: a driven wheel must out-torque a passive one |
+| steering drive        | position servo 5 N·m/rad, 0.3 N·m·s/rad | chosen: settles within a control step or two       |
+| tyre, chassis friction| 1.0, 0.3                 | f1tenth_gym 1.05; the chassis chosen low, so that rovers slide off each other |
+
+HARL-A drives the wheels kinematically (damping 1e5); there noses rise in a head-on push, and a push is decided by mass
+alone. The finite torque above leaves the outcome to the driving. Wheels are spheres because every engine has the pair
+sphere-plane; a cylinder is drawn instead. One body holds a wheel's steering and spin joints, so a rover has 12 DoF.
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import mujoco
+from jax import Array
+
+from arenas.robots.robot import Robot
+
+WHEEL_RADIUS = 0.052  # m
+WHEEL_WIDTH = 0.045  # m, drawn only
+WHEELBASE, TRACK = 0.32, 0.24  # m
+MAX_STEERING = 0.75  # rad
+CHASSIS_HALF = (0.25, 0.155, 0.045)  # m
+CHASSIS_HEIGHT = 0.023  # m, box centre above the axles: 30 mm of ground clearance
+CHASSIS_MASS, WHEEL_MASS = 3.4, 0.1  # kg
+KV_WHEEL, TORQUE_LIMIT = 0.05, 0.9  # N·m·s/rad, N·m
+KP_STEERING, KV_STEERING = 5.0, 0.3  # N·m/rad, N·m·s/rad
+ARMATURE = 0.001  # kg·m², the motor's inertia seen at the wheel
+
+# Bits: the ground touches tyres and chassis (contype 1), chassis touch each other (contype 2), tyres only the ground.
+_TYRE = {"contype": 0, "conaffinity": 1}
+_CHASSIS = {"contype": 2, "conaffinity": 3}
+_DRAWN = {"contype": 0, "conaffinity": 0, "mass": 0, "group": 1}
+
+WHEELS = {
+    "front_left": (WHEELBASE / 2, TRACK / 2),
+    "front_right": (WHEELBASE / 2, -TRACK / 2),
+    "rear_right": (-WHEELBASE / 2, -TRACK / 2),
+    "rear_left": (-WHEELBASE / 2, TRACK / 2),
+}
+_SPIN = tuple(f"{wheel}_spin" for wheel in WHEELS)
+_STEER = ("front_left_steer", "front_right_steer")
+
+
+def leatherback(drive_scale: float = 60.0, steer_scale: float = 0.6, limit: float | None = 1.0) -> Robot:
+    """A rover whose action (throttle, steering) means `drive_scale`·a0 rad/s at all wheels, `steer_scale`·a1 rad.
+
+    Actions are clipped to ±`limit` first (None: not at all, as HARL-A's rovers in sumo, with scales 10 and 0.1).
+    """
+
+    def command(action: Array) -> Array:
+        a = action if limit is None else jnp.clip(action, -limit, limit)
+        steering = jnp.clip(steer_scale * a[1], -MAX_STEERING, MAX_STEERING)
+        return jnp.concatenate([jnp.full(4, drive_scale * a[0]), jnp.full(2, steering)])
+
+    return replace(_BODY, command=command)
+
+
+def _build(colour: tuple[float, float, float, float]) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    base = spec.worldbody.add_body(name="chassis", pos=[0, 0, WHEEL_RADIUS])
+    base.add_freejoint(name="base")
+    base.add_geom(
+        name="chassis", type=mujoco.mjtGeom.mjGEOM_BOX, size=CHASSIS_HALF, pos=[0, 0, CHASSIS_HEIGHT], group=3,
+        mass=CHASSIS_MASS, friction=[0.3, 0.005, 0.0001], rgba=colour, **_CHASSIS,
+    )  # fmt: skip
+    _draw_body(base, colour)
+    for wheel, (x, y) in WHEELS.items():
+        body = base.add_body(name=wheel, pos=[x, y, 0])
+        if wheel.startswith("front"):
+            body.add_joint(
+                name=f"{wheel}_steer", axis=[0, 0, 1], range=[-MAX_STEERING, MAX_STEERING], armature=ARMATURE
+            )
+        body.add_joint(name=f"{wheel}_spin", axis=[0, 1, 0], armature=ARMATURE)
+        body.add_geom(
+            name=wheel, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[WHEEL_RADIUS, 0, 0], mass=WHEEL_MASS, group=3,
+            friction=[1.0, 0.005, 0.0001], priority=1, **_TYRE,
+        )  # fmt: skip
+        _draw_wheel(body)
+    for name in _SPIN:
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_velocity(kv=KV_WHEEL)
+        servo.forcelimited, servo.forcerange = True, [-TORQUE_LIMIT, TORQUE_LIMIT]
+    for name in _STEER:
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=KP_STEERING, kv=KV_STEERING)
+    return spec
+
+
+def _draw_body(base: mujoco.MjsBody, colour: tuple[float, float, float, float]) -> None:
+    """Shapes that are seen and never touch: a hull, a cabin, a white nose that shows the heading."""
+    dark = [0.10, 0.11, 0.13, 1]
+    hull = [CHASSIS_HALF[0], 0.095, 0.03]
+    for name, size, pos, rgba in (
+        ("hull", hull, [0, 0, 0.02], colour),
+        ("deck", [0.20, CHASSIS_HALF[1], 0.008], [0, 0, 0.058], colour),
+        ("cabin", [0.075, 0.085, 0.024], [-0.05, 0, 0.088], dark),
+        ("nose", [0.012, 0.09, 0.012], [CHASSIS_HALF[0], 0, 0.03], [0.95, 0.95, 0.92, 1]),
+    ):
+        base.add_geom(name=f"{name}_drawn", type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=pos, rgba=rgba, **_DRAWN)
+
+
+def _draw_wheel(body: mujoco.MjsBody) -> None:
+    on_side = [0.70710678, 0.70710678, 0, 0]  # the cylinder's axis from z to y
+    for name, size, rgba in (
+        ("tyre", [WHEEL_RADIUS, WHEEL_WIDTH / 2, 0], [0.07, 0.07, 0.08, 1]),
+        ("hub", [0.028, WHEEL_WIDTH / 2 + 0.002, 0], [0.75, 0.76, 0.78, 1]),
+    ):
+        body.add_geom(
+            name=f"{body.name}_{name}",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=size,
+            quat=on_side,
+            rgba=rgba,
+            **_DRAWN,
+        )
+
+
+_BODY = Robot(
+    kind="leatherback",
+    base="chassis",
+    joints=_STEER,
+    actuators=_SPIN + _STEER,
+    action_size=2,
+    rest_height=WHEEL_RADIUS,
+    build=_build,
+    command=lambda action: action,
+)

@@ -1,0 +1,1 @@
+"""Draws and tabulates the values it is handed; opens no database."""

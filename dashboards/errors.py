@@ -1,0 +1,5 @@
+"""What can go wrong with showing a match."""
+
+
+class ViewerError(RuntimeError):
+    """The match cannot be drawn here; the message is one line that says what is possible or what to type instead."""

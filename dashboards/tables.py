@@ -1,0 +1,126 @@
+"""Rows as text for a terminal, a program or a spreadsheet.
+
+Tables hold no escape codes, so they read the same in a terminal, a pipe and a file.
+"""
+
+import csv
+import io
+import json
+import math
+import numbers
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Format = Literal["table", "json", "csv"]
+MISSING = "–"
+
+
+@dataclass(frozen=True)
+class Column:
+    """Which value of a row to show, under which heading, and with how many decimals in a table."""
+
+    key: str
+    title: str = ""  # the key if empty
+    decimals: int | None = None  # None: by the size of the column's largest value
+
+
+def render(
+    rows: "pd.DataFrame | Sequence[Mapping[str, Any]]",
+    columns: Sequence[Column | str] = (),
+    format: Format = "table",
+    title: str = "",
+    width: int | None = None,
+) -> str:
+    """Return rows as text without a newline at its end.
+
+    `columns` chooses and orders what is shown; without it, every key is, in the order of its first appearance. A data
+    frame's index is shown if it has a name. `json` is a list of objects and `csv` has a header line, both under the
+    keys and with full precision; not-a-number and infinity become null in JSON, which has no word for them. `width`
+    and `title` are for tables; the width is that of the terminal, or 80 without one.
+
+    Raises ValueError for an unknown format.
+    """
+    records = _records(rows)
+    keys = list(dict.fromkeys(key for record in records for key in record))
+    chosen = [c if isinstance(c, Column) else Column(c) for c in columns or keys]
+    match format:
+        case "json":
+            objects = [{c.key: _jsonable(record.get(c.key)) for c in chosen} for record in records]
+            return json.dumps(objects, indent=2, ensure_ascii=False, default=str)
+        case "csv":
+            out = io.StringIO()
+            lines = csv.writer(out, lineterminator="\n")
+            lines.writerow(c.key for c in chosen)
+            lines.writerows([record.get(c.key) for c in chosen] for record in records)
+            return out.getvalue().removesuffix("\n")
+        case "table":
+            return _table(records, chosen, title, width or shutil.get_terminal_size().columns)
+    raise ValueError(f"there is no format {format!r}; choose one of: {', '.join(get_args(Format))}")
+
+
+def _records(rows: Any) -> list[dict[str, Any]]:
+    """Rows as dicts of Python values; None stands for whatever pandas holds to be missing."""
+    if hasattr(rows, "to_dict"):
+        if any(name is not None for name in rows.index.names):
+            rows = rows.reset_index()
+        rows = rows.astype(object).where(rows.notna(), None).to_dict("records")
+    return [{key: _python(value) for key, value in row.items()} for row in rows]
+
+
+def _python(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") and not getattr(value, "shape", ()) else value
+
+
+def _jsonable(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _table(records: list[dict[str, Any]], columns: list[Column], title: str, width: int) -> str:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    cells = [[record.get(c.key) for record in records] for c in columns]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title or None, title_justify="left")
+    for column, values in zip(columns, cells, strict=True):
+        is_number = any(map(_is_number, values)) and all(v is None or _is_number(v) for v in values)
+        justify = "right" if is_number else "left"
+        table.add_column(column.title or column.key, justify=justify, no_wrap=is_number, overflow="fold")
+    texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
+    for row in zip(*texts, strict=True):
+        table.add_row(*row)
+    out = io.StringIO()
+    Console(file=out, width=width, color_system=None, markup=False, highlight=False, emoji=False).print(table)
+    lines = [line.rstrip() for line in out.getvalue().splitlines()]
+    return "\n".join([*lines, *([] if records else ["(none)"])]).strip("\n")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _texts(values: list[Any], decimals: int | None) -> list[str]:
+    """A column's cells. Numbers share their decimals; whole numbers are grouped once one has five digits."""
+    finite = [abs(v) for v in values if _is_number(v) and math.isfinite(v)]
+    largest = max(finite, default=0)
+    if decimals is None:
+        decimals = 0 if largest >= 100 else 1 if largest >= 10 else 2 if largest >= 1 else 3
+    group = "," if largest >= 10_000 else ""
+    texts = []
+    for value in values:
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            texts.append(MISSING)
+        elif isinstance(value, bool):
+            texts.append("yes" if value else "no")
+        elif isinstance(value, int):
+            texts.append(f"{value:{group}d}")
+        elif _is_number(value):
+            texts.append(f"{value:{group}.{decimals}f}")
+        else:
+            texts.append(str(value))
+    return texts

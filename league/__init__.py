@@ -1,0 +1,1 @@
+"""Robot League: self-play leagues for teams of robots."""

@@ -1,0 +1,158 @@
+"""What dataclass fields say of themselves when they are settings: a note, a type, bounds; and the check of values.
+
+A setting may hold an int, float, bool, str, Literal, tuple[T, ...], tuple[T, U], another dataclass, or any of these or
+None. The string literal under a field is its note. What a value must satisfy stands in the field's metadata:
+
+    lr: float = field(default=5e-4, metadata={"above": 0.0, "high": 0.1})
+
+`low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
+function that raises ValueError on values it does not take. What concerns several fields goes into `__post_init__`,
+which raises ValueError("field: message"), or any other message to speak of the whole table.
+"""
+
+import ast
+import inspect
+import json
+import textwrap
+import types
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+Key = tuple[str, ...]
+UNSET = "none"
+"""The word that stands for None: TOML has no null."""
+
+BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "low": ("at least", lambda value, bound: value >= bound),
+    "above": ("above", lambda value, bound: value > bound),
+    "high": ("at most", lambda value, bound: value <= bound),
+    "below": ("below", lambda value, bound: value < bound),
+}
+
+
+class ConfigError(ValueError):
+    """A setting that cannot be: one line that says where, what was given and what is possible."""
+
+    def __init__(self, key: Key, message: str, place: str = ""):
+        super().__init__(f"{place}{message}")
+        self.key = key
+        self.message = message
+
+
+@cache
+def hints(cls: type) -> dict[str, Any]:
+    """Return the types of a class's fields, names resolved."""
+    return get_type_hints(cls)
+
+
+@cache
+def notes(cls: type) -> tuple[str, dict[str, str]]:
+    """Return the first line of a class's docstring and the docstring under each of its fields, inherited ones too."""
+    summary, found = "", {}
+    for each in reversed([base for base in cls.__mro__ if is_dataclass(base)]):
+        try:
+            body = ast.parse(textwrap.dedent(inspect.getsource(each))).body[0]
+        except (OSError, TypeError):  # made at run time or typed into a console: there is no source to read
+            continue
+        assert isinstance(body, ast.ClassDef)
+        summary = (ast.get_docstring(body) or "").partition("\n")[0]
+        for line, below in zip(body.body, body.body[1:], strict=False):
+            match line, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    found[name] = inspect.cleandoc(text)
+    return summary, found
+
+
+def settings(cls: Any) -> Iterator[Field]:
+    """Yield the fields of a dataclass that can be given."""
+    return (each for each in fields(cls) if each.init)
+
+
+def is_table(value: Any) -> bool:
+    """Tell whether a value is a group of settings."""
+    return is_dataclass(value) and not isinstance(value, type)
+
+
+def absent(field: Field, base: Any) -> Any:
+    """Return what a setting is when nobody gives it: as in `base`, else its default, else MISSING."""
+    if is_table(base):
+        return getattr(base, field.name)
+    return field.default_factory() if field.default_factory is not MISSING else field.default
+
+
+def required(hint: Any) -> tuple[Any, bool]:
+    """Split `X | None` into X and whether None is possible; of several dataclasses X is the first."""
+    if get_origin(hint) not in (Union, types.UnionType):
+        return hint, False
+    kinds = [kind for kind in get_args(hint) if kind is not types.NoneType]
+    if len(kinds) > 1 and not all(map(is_dataclass, kinds)):
+        raise TypeError(f"a setting cannot be of type {hint}: league/settings.py lists the possible types")
+    return kinds[0], types.NoneType in get_args(hint)
+
+
+def literal(value: Any) -> str:
+    """Write a value as TOML. `repr` gives the shortest digits that read back as the same float."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):  # JSON's escapes are TOML's, but for one character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(map(literal, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name} = {literal(each)}" for name, each in value.items()) + "}"
+    return repr(value) if isinstance(value, (int, float)) else str(value)
+
+
+def expected(hint: Any) -> str:
+    """Say in words which values a type allows."""
+    kind, optional = required(hint)
+    args = get_args(kind)
+    if get_origin(kind) is Literal:
+        text = f"one of {', '.join(map(literal, args))}"
+    elif get_origin(kind) is tuple:
+        text = f"a list, each {expected(args[0])}" if args[-1] is ... else f"[{', '.join(map(expected, args))}]"
+    elif is_dataclass(kind):
+        text = "a table"
+    else:
+        text = {int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes"}[kind]
+    return f'{text}, or "{UNSET}"' if optional else text
+
+
+def bounds(field: Field) -> str:
+    """Say in words between which bounds a setting lies; empty when there are none."""
+    limits = {name: field.metadata[name] for name in BOUNDS if name in field.metadata}
+    if limits.keys() == {"low", "high"}:
+        return f"between {limits['low']} and {limits['high']}"
+    return " and ".join(f"{BOUNDS[name][0]} {bound}" for name, bound in limits.items())
+
+
+def refuse(key: Key, value: Any, reason: object) -> ConfigError:
+    """Say which setting was given which value and why that cannot be."""
+    return ConfigError(key, f"{'.'.join(key)} = {literal(value)}: {reason}")
+
+
+def _within(value: Any, metadata: Mapping[str, Any]) -> bool:
+    if isinstance(value, tuple):
+        return all(_within(each, metadata) for each in value)
+    return all(holds(value, metadata[name]) for name, (_, holds) in BOUNDS.items() if name in metadata)
+
+
+def check(config: Any, prefix: Key = ()) -> None:
+    """Check every value of a tree of dataclasses against the metadata of its field.
+
+    Raises:
+        ConfigError: a value is refused, e.g. `learner.gamma = 1.5: must be between 0 and 1`.
+    """
+    for field in settings(config):
+        key, value = (*prefix, field.name), getattr(config, field.name)
+        if is_table(value):
+            check(value, key)
+        elif value is not None:
+            if not _within(value, field.metadata):
+                raise refuse(key, value, f"must be {bounds(field)}")
+            try:
+                field.metadata.get("valid", lambda _: None)(value)
+            except ValueError as error:
+                raise refuse(key, value, error) from None

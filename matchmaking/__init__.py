@@ -1,0 +1,1 @@
+"""Who should meet whom, and who is better: pure functions of the match log, in numpy."""

@@ -1,0 +1,105 @@
+import csv
+import io
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dashboards.tables import Column, render
+
+ROWS = [
+    {"player": "blue@16", "rating": 1523.456789, "score": 0.75, "games": 12800, "live": True},
+    {"player": "[red]@8 ✓", "rating": -37.1, "score": 1 / 3, "games": 64, "live": False},
+    {"player": "script:pusher", "rating": None, "score": float("nan"), "games": 0, "live": False},
+]
+COLUMNS = [
+    Column("player", "Player"),
+    Column("rating", "Elo", 1),
+    Column("score", "Score"),
+    Column("games", "Games"),
+    "live",
+]
+
+
+def test_table_lines_up_numbers_and_leaves_markup_alone():
+    assert render(ROWS, COLUMNS, title="Ratings of demo", width=80).splitlines() == [
+        "Ratings of demo",
+        "",
+        " Player             Elo   Score    Games   live",
+        " ──────────────────────────────────────────────",
+        " blue@16         1523.5   0.750   12,800   yes",
+        " [red]@8 ✓        -37.1   0.333       64   no",
+        " script:pusher        –       –        0   no",
+    ]
+
+
+def test_table_without_a_terminal_is_plain_text_of_at_most_80_columns():
+    program = (
+        "from dashboards.tables import render\n"
+        "print(render([{'name': 'x' * 200, 'note': 'a few words ' * 20, 'games': 123456789, 'elo': -1500.25}]))"
+    )
+    text = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert "\x1b" not in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert "123,456,789" in text
+    assert "-1,500" not in text  # grouped per column
+    assert "-1500" in text
+    assert text.count("x") == 200  # folded, not cut
+
+
+@pytest.mark.parametrize(
+    ("values", "texts"),
+    [([0.5, 0.1234], ["0.500", "0.123"]), ([1.5, 0.1], ["1.50", "0.10"]), ([12.345, 0.5], ["12.3", "0.5"])],
+)
+def test_decimals_follow_the_largest_value_of_the_column(values, texts):
+    lines = render([{"x": value} for value in values]).splitlines()
+    assert [line.strip() for line in lines[-2:]] == texts
+
+
+def test_json_keeps_every_digit_and_has_null_for_what_is_missing():
+    read = json.loads(render(ROWS, COLUMNS, format="json"))
+    assert list(read[0]) == ["player", "rating", "score", "games", "live"]
+    assert read[0] == ROWS[0]
+    assert read[1]["score"] == 1 / 3
+    assert (read[2]["rating"], read[2]["score"]) == (None, None)
+
+
+def test_csv_keeps_every_digit_and_quotes_what_it_must():
+    text = render([{"name": 'a "b", c', "x": 1 / 3, "y": None}], format="csv")
+    assert text == f'name,x,y\n"a ""b"", c",{1 / 3!r},'
+    assert list(csv.DictReader(io.StringIO(text))) == [{"name": 'a "b", c', "x": repr(1 / 3), "y": ""}]
+
+
+def test_data_frames_give_the_same_as_rows():
+    frame = pd.DataFrame(ROWS)
+    for format in ("table", "json", "csv"):
+        rows = [row | {"score": None} if row["player"].startswith("script") else row for row in ROWS]
+        assert render(frame, COLUMNS, format=format) == render(rows, COLUMNS, format=format)
+
+
+def test_a_named_index_is_a_column_and_an_unnamed_one_is_not():
+    frame = pd.DataFrame({"wins": np.array([3, 4])}, index=pd.Index(["blue", "red"], name="team"))
+    assert json.loads(render(frame, format="json")) == [{"team": "blue", "wins": 3}, {"team": "red", "wins": 4}]
+    assert json.loads(render(frame.reset_index(drop=True), format="json")) == [{"wins": 3}, {"wins": 4}]
+
+
+def test_no_rows_are_said_in_each_format():
+    assert render([], ["player"], title="Ratings").splitlines()[0] == "Ratings"
+    assert render([], ["player"]).splitlines()[-1] == "(none)"
+    assert render([], ["player"], format="json") == "[]"
+    assert render([], ["player"], format="csv") == "player"
+
+
+def test_an_unknown_format_names_those_there_are():
+    with pytest.raises(ValueError, match="no format 'xml'; choose one of: table, json, csv"):
+        render(ROWS, format="xml")
+
+
+def test_importing_it_loads_neither_pandas_nor_numpy():
+    program = (
+        "import sys, dashboards.tables; print([m for m in ('pandas', 'numpy', 'rich', 'rerun') if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"

@@ -1,0 +1,261 @@
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import rerun as rr
+from PIL import Image
+
+from dashboards import viewer
+from dashboards.errors import ViewerError
+from storage.recording import Recording, RecordingHeader, from_bytes, to_bytes
+from storage.records import ArenaKey
+
+STEPS = 100
+
+
+def car(team: str, x: float, yaw: float, rgba: str) -> str:
+    wheels = "".join(
+        f'<geom type="cylinder" size=".1 .04" pos="{i * 0.2} {j * 0.22} -.06" euler="90 0 0" rgba=".1 .1 .1 1"/>'
+        for i in (-1, 1)
+        for j in (-1, 1)
+    )
+    return f"""
+    <body name="{team}/0/chassis" pos="{x} 0 .17" euler="0 0 {yaw}">
+      <freejoint/>
+      <geom type="box" size=".3 .18 .08" mass="5" rgba="{rgba}"/>
+      <geom name="{team}/0/bumper" type="capsule" size=".04 .15" pos=".3 0 0" euler="90 20 0" material="{team}"/>
+      <geom type="mesh" mesh="fin" pos="-.1 0 .2" euler="0 30 0" mass="0" rgba=".9 .9 .9 1"/>
+      <geom type="box" size=".5 .5 .5" group="3" mass="0" contype="0" conaffinity="0" rgba="0 1 0 1"/>
+      {wheels}
+      <body name="{team}/0/mast" pos="0 0 .2"><joint axis="1 0 0"/><geom type="sphere" size=".05" mass=".1"/></body>
+    </body>"""
+
+
+XML = f"""
+<mujoco>
+  <option timestep=".005"/>
+  <asset>
+    <mesh name="fin" vertex="0 0 0  .2 0 0  0 .1 0  0 0 .3"/>
+    <material name="blue" rgba=".1 .3 1 1"/><material name="red" rgba="1 .1 .1 1"/>
+  </asset>
+  <worldbody>
+    <geom type="plane" size="0 0 1" rgba=".3 .33 .37 1"/>
+    <body name="post" pos="3 3 0"><geom type="ellipsoid" size=".1 .1 .4"/></body>
+    {car("blue", -1, 0, ".2 .45 1 1")}
+    {car("red", 1, 180, "1 .25 .2 1")}
+  </worldbody>
+</mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def match():
+    """Two cars roll at each other for two seconds inside a ring that shrinks from 2 m to 1.2 m."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    data = mujoco.MjData(model)
+    data.qvel[[0, 7]] = 2.5, -1.5
+    time_, qpos = [], []
+    for _ in range(STEPS):
+        mujoco.mj_step(model, data, 4)
+        time_.append(data.time)
+        qpos.append(data.qpos.copy())
+    n, radius = np.arange(STEPS), np.linspace(2, 1.2, STEPS)
+    recording = Recording(
+        header=RecordingHeader(
+            league="demo",
+            match=12,
+            seed=5,
+            world=0,
+            arena=ArenaKey("sumo", "c0ffee", "c"),
+            sides=("blue@16", "red@8"),
+            digests=("ab", "cd"),
+            teams=("blue", "red"),
+            agents=(("blue/0",), ("red/0",)),
+            score=(1.0, 0.0),
+            outcome="win blue",
+            dt=0.02,
+            marker_kinds={"ring": "circle"},
+        ),
+        xml=XML,
+        time=np.array(time_),
+        qpos=np.array(qpos),
+        actions={"blue/0": np.zeros((STEPS, 2)), "red/0": np.zeros((STEPS, 2))},
+        reward=np.stack([np.sin(n / 9), -np.sin(n / 9)], axis=1),
+        score=np.stack([n > 60, n < 0], axis=1),
+        markers={"ring": np.stack([0 * radius, 0 * radius, radius], axis=1)},
+        events=[(30, "contact"), (60, "red/0 leaves the ring")],
+    )
+    return from_bytes(to_bytes(recording))
+
+
+@pytest.fixture(scope="module")
+def columns(match, tmp_path_factory):
+    """What the rrd file holds: (entity path, component) -> one entry per row, and the timelines of its chunk."""
+    path = tmp_path_factory.mktemp("rrd") / "match.rrd"
+    viewer.write_rrd(match, path)
+    reader = rr.chunk.RrdReader(path)
+    found = {}
+    for store in reader.recordings():
+        for chunk in reader.stream(store=store).to_chunks():
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                found[chunk.entity_path, name] = batch.column(name).to_pylist()
+    return found
+
+
+def truth(match):
+    """World poses of every body and geom at every step, from MuJoCo."""
+    model = mujoco.MjModel.from_xml_string(match.xml)
+    data = mujoco.MjData(model)
+    for qpos in match.qpos:
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        yield model, data
+
+
+@pytest.mark.parametrize("name", ["blue/0/chassis", "red/0/chassis", "blue/0/mast", "red/0/mast"])
+def test_bodies_are_where_mujoco_has_them(match, columns, name):
+    translation = np.array(columns[f"/world/{name}", "Transform3D:translation"])[:, 0]
+    xyzw = np.array(columns[f"/world/{name}", "Transform3D:quaternion"])[:, 0]
+    expected = [(data.body(name).xpos.copy(), data.body(name).xquat[[1, 2, 3, 0]]) for _, data in truth(match)]
+    np.testing.assert_allclose(translation, [pose for pose, _ in expected], atol=1e-5)
+    np.testing.assert_allclose(xyzw, [turn for _, turn in expected], atol=1e-6)
+    assert np.ptp(translation[:, 0]) > 0.05  # it moved
+
+
+def test_both_timelines_are_there_in_steps_and_seconds(match, columns):
+    assert columns["/world/blue/0/chassis", "step"] == list(range(STEPS))
+    seconds = [duration.total_seconds() for duration in columns["/world/blue/0/chassis", "sim_time"]]
+    np.testing.assert_allclose(seconds, match.time, atol=1e-6)
+
+
+def test_capsules_are_centred_as_in_mujoco(match, columns):
+    model, data = next(truth(match))
+    chassis, bumper = data.body("blue/0/chassis"), data.geom("blue/0/bumper")
+    half = model.geom("blue/0/bumper").size[1]
+    path = "/world/blue/0/chassis/capsule"
+    start = np.array(columns[path, "Capsules3D:translations"][0][0])
+    world = chassis.xpos + chassis.xmat.reshape(3, 3) @ start
+    np.testing.assert_allclose(world, bumper.xpos - half * bumper.xmat.reshape(3, 3)[:, 2], atol=1e-5)
+    assert columns[path, "Capsules3D:lengths"][0] == [pytest.approx(2 * half)]
+
+
+def test_colours_come_from_the_geom_or_its_material(columns):
+    box = columns["/world/red/0/chassis/box", "Boxes3D:colors"][0]
+    capsule = columns["/world/red/0/chassis/capsule", "Capsules3D:colors"][0]
+    assert [f"{colour:08x}" for colour in (*box, *capsule)] == ["ff4033ff", "ff1a1aff"]
+
+
+def test_collision_geoms_are_hidden_and_still_things_do_not_move(columns):
+    assert len(columns["/world/blue/0/chassis/box", "Boxes3D:half_sizes"][0]) == 1
+    assert columns["/world/post", "Transform3D:translation"] == [[[3, 3, 0]]]
+    assert ("/world/post", "step") not in columns
+    assert ("/world/ground/plane", "Boxes3D:half_sizes") in columns
+
+
+def test_the_ring_has_its_radius_at_every_step(match, columns):
+    strips = np.array([row[0] for row in columns["/world/markers/ring", "LineStrips3D:strips"]])
+    assert strips.shape == (STEPS, 65, 3)
+    radii = np.hypot(strips[..., 0], strips[..., 1])
+    np.testing.assert_allclose(radii, np.repeat(match.markers["ring"][:, 2:], 65, axis=1), atol=1e-5)
+
+
+def test_a_ring_that_stands_still_is_written_once(match, tmp_path):
+    still = replace(match, markers={"ring": np.tile([0.0, 0.0, 1.5], (STEPS, 1))})
+    viewer.write_rrd(still, tmp_path / "still.rrd")
+    reader = rr.chunk.RrdReader(tmp_path / "still.rrd")
+    chunks = [chunk for store in reader.recordings() for chunk in reader.stream(store=store).to_chunks()]
+    rows = [chunk.num_rows for chunk in chunks if chunk.entity_path == "/world/markers/ring" and not chunk.is_static]
+    assert rows == [1]
+
+
+def test_reward_score_events_and_header_are_told(match, columns):
+    assert [row[0] for row in columns["/reward/red", "Scalars:scalars"]] == match.reward[:, 1].tolist()
+    assert [row[0] for row in columns["/score/blue", "Scalars:scalars"]] == match.score[:, 0].tolist()
+    assert columns["/events", "step"] == [30, 60]
+    assert columns["/events", "TextLog:text"] == [["contact"], ["red/0 leaves the ring"]]
+    text = columns["/header", "TextDocument:text"][0][0]
+    assert "# win blue" in text
+    assert "| red | red@8 | 0 | red/0 |" in text
+
+
+def test_a_name_under_another_bodys_name_does_not_inherit_its_motion(match, tmp_path):
+    nested = replace(match, xml=XML.replace("blue/0/mast", "blue/0/chassis/mast"))
+    viewer.write_rrd(nested, tmp_path / "nested.rrd")
+    reader = rr.chunk.RrdReader(tmp_path / "nested.rrd")
+    paths = {chunk.entity_path for store in reader.recordings() for chunk in reader.stream(store=store).to_chunks()}
+    assert r"/world/blue\/0\/chassis\/mast" in paths
+    assert not any(path.startswith("/world/blue/0/chassis") for path in paths)
+
+
+def pixels(path):
+    """Where the 3D part of the picture is red, blue and the ring's amber: masks (h, w)."""
+    with Image.open(path) as image:
+        rgb = np.asarray(image.convert("RGB")).astype(int)[40:, : image.width * 7 // 10]
+    r, g, b = rgb[..., 0], rgb[..., 1], rgb[..., 2]
+    return (
+        (r > 2 * g) & (r > 2 * b) & (r > 80),
+        (b > 1.5 * g) & (b > 2 * r) & (b > 80),
+        (r > 200) & (g > 150) & (b < 120),
+    )
+
+
+def test_pictures_show_both_teams_and_the_match_going_on(match, tmp_path):
+    early, late = tmp_path / "early.png", tmp_path / "late.png"
+    viewer.shot(match, early, at_seconds=0, size=(1000, 600))
+    viewer.shot(match, late, at_seconds=2.0, size=(1000, 600))
+
+    widths = []
+    for path in (early, late):
+        with Image.open(path) as image:
+            assert image.size == (1000, 600)
+        red, blue, amber = pixels(path)
+        assert red.sum() > 500
+        assert blue.sum() > 500
+        assert np.flatnonzero(red.any(0)).mean() > np.flatnonzero(blue.any(0)).mean()  # red stands on the right
+        widths.append(np.ptp(np.flatnonzero(amber.any(0))))
+    assert widths[1] / widths[0] == pytest.approx(1.2 / 2, abs=0.08)  # nearly the ratio of the rings' radii
+
+
+def test_show_hands_the_match_to_a_viewer_that_already_runs(match, tmp_path, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":0")  # the viewer below needs none
+    with viewer._headless_viewer(tmp_path, (400, 300)) as client:
+        viewer.show(match, port=int(client.url.split(":")[-1].split("/")[0]))
+        deadline = time.monotonic() + 20
+        while not (recordings := client.get_state().recordings) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        timelines = {timeline.name: timeline for timeline in recordings[0].timelines}
+        assert {view.name for view in client.get_state().views} >= {"sumo", "Score", "Events"}
+    assert (timelines["step"].start, timelines["step"].end) == (0, STEPS - 1)
+
+
+def test_errors_say_what_to_type(match, tmp_path, monkeypatch):
+    with pytest.raises(ViewerError, match=r"no second 9 in this match; it has 0\.02 to 2"):
+        viewer.shot(match, tmp_path / "x.png", at_seconds=9)
+    unknown = replace(match, header=replace(match.header, marker_kinds={"ring": "hexagon"}))
+    with pytest.raises(ViewerError, match="marker 'ring' is a 'hexagon'; the viewer draws: 'circle'"):
+        viewer.write_rrd(unknown, tmp_path / "x.rrd")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(ViewerError, match=r"no display here; use --save .* or --shot"):
+        viewer.show(match)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ViewerError, match=r"pip install 'robot-league\[view\]'"):
+        viewer.write_rrd(match, tmp_path / "x.rrd")
+
+
+def test_without_a_vulkan_driver_the_package_is_named(match, tmp_path, monkeypatch):
+    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(variable, "/nonexistent")
+    with pytest.raises(ViewerError, match="apt-get install mesa-vulkan-drivers"):
+        viewer.shot(match, tmp_path / "x.png", at_seconds=1.0)
+
+
+def test_importing_the_viewer_loads_neither_rerun_nor_mujoco():
+    program = "import sys, dashboards.viewer; print([m for m in ('rerun', 'mujoco', 'pandas') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"

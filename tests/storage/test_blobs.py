@@ -1,0 +1,108 @@
+import hashlib
+import multiprocessing
+import resource
+import time
+from pathlib import Path
+
+import pytest
+
+from storage.blobs import open_blobs
+from storage.errors import DamagedBlob, StorageError
+
+DATA = b"a policy"
+DIGEST = hashlib.sha256(DATA).hexdigest()
+
+
+def files(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+def test_bytes_come_back_under_their_hash(tmp_path: Path):
+    blobs = open_blobs(tmp_path)
+    assert not blobs.has(DIGEST)
+    assert blobs.put(DATA) == DIGEST
+    assert blobs.has(DIGEST)
+    assert blobs.get(DIGEST) == DATA
+
+
+def test_identical_bytes_are_kept_once(tmp_path: Path):
+    blobs = open_blobs(tmp_path.as_uri())
+    assert blobs.put(DATA) == blobs.put(bytes(DATA))
+    assert blobs.put(DATA + b"!") != DIGEST
+    assert len(files(tmp_path)) == 2
+
+
+def test_a_damaged_blob_is_named_and_a_put_heals_it(tmp_path: Path):
+    blobs = open_blobs(tmp_path)
+    blobs.put(DATA)
+    (file,) = files(tmp_path)
+    file.write_bytes(b"a policx")
+    with pytest.raises(DamagedBlob, match=DIGEST) as caught:
+        blobs.get(DIGEST)
+    assert caught.value.digest == DIGEST
+    assert str(file) in str(caught.value)
+    blobs.put(DATA)
+    assert blobs.get(DIGEST) == DATA
+
+
+def test_a_missing_blob_is_named(tmp_path: Path):
+    with pytest.raises(DamagedBlob, match=f"{DIGEST} is missing"):
+        open_blobs(tmp_path).get(DIGEST)
+
+
+@pytest.mark.parametrize("name", ["", "../../secret", DIGEST.upper(), DIGEST[:-1]])
+def test_only_a_hash_is_a_name(tmp_path: Path, name: str):
+    with pytest.raises(StorageError, match="not a blob's name"):
+        open_blobs(tmp_path).get(name)
+
+
+@pytest.mark.parametrize("url", ["s3://bucket/blobs", "file://another.host/blobs"])
+def test_an_unknown_place_says_what_is_possible(url: str):
+    with pytest.raises(StorageError, match=f"{url}.*folder path"):
+        open_blobs(url)
+
+
+def test_a_disk_that_takes_no_more_leaves_no_file(tmp_path: Path):
+    blobs = open_blobs(tmp_path)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # a write past this fails as on a full disk
+    try:
+        with pytest.raises(StorageError, match="Cannot write a blob of 5000 bytes"):
+            blobs.put(bytes(5000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert files(tmp_path) == []
+
+
+def test_a_place_below_a_file_is_refused(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match=r"Cannot write a blob.*Not a directory"):
+        open_blobs(tmp_path / "file" / "blobs").put(DATA)
+
+
+def put_for_ever(folder: str) -> None:
+    blobs = open_blobs(folder)
+    data = bytearray(32_000_000)  # long enough in the writing to be killed meanwhile
+    while True:
+        data[0] += 1
+        blobs.put(bytes(data))
+
+
+def test_a_writer_killed_at_any_moment_leaves_only_right_blobs(tmp_path: Path):
+    def named(names_start: str) -> list[Path]:
+        return [path for path in files(tmp_path) if path.name.startswith(".") == (names_start == ".")]
+
+    context = multiprocessing.get_context("spawn")
+    for watched in (".", "a hash"):  # killed as soon as a partial file is seen, then as soon as a blob is
+        before = len(named(watched))
+        writer = context.Process(target=put_for_ever, args=(str(tmp_path),))
+        writer.start()
+        while len(named(watched)) == before and writer.is_alive():
+            time.sleep(0.0005)
+        writer.kill()
+        writer.join()
+        assert writer.exitcode == -9
+    blobs = open_blobs(tmp_path)
+    assert named("a hash")
+    for path in named("a hash"):
+        blobs.get(path.parent.name + path.name)  # raises if it is not what its name says

@@ -1,0 +1,213 @@
+"""Finding, making and refusing stores; migrations; what importing costs."""
+
+import multiprocessing
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from storage import tables
+from storage.errors import NewerStore, NotAStore, StorageError
+from storage.records import ArenaKey, League
+from storage.store import Store
+
+LEAGUE = League("cup", ArenaKey("sumo", "c0ffee", "c"), "seed = 1")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_what_is_written_is_there_for_who_opens_it_next(place: tuple[str, str]):
+    where, blobs = place
+    with Store.open(where, create=True, blobs=blobs) as store:
+        store.create_league(LEAGUE)
+        digest = store.blobs.put(b"a policy")
+    for create in (False, True):
+        with Store.open(where, create=create, blobs=blobs) as store:
+            assert store.league("cup").config == LEAGUE.config
+            assert store.blobs.get(digest) == b"a policy"
+
+
+def test_nothing_there_is_told_with_the_remedy(place: tuple[str, str]):
+    with pytest.raises(NotAStore, match=r"No league store at .*`league run` creates one"):
+        Store.open(place[0], blobs=place[1])
+
+
+def test_looking_for_a_store_makes_no_folder(tmp_path: Path):
+    with pytest.raises(NotAStore):
+        Store.open(tmp_path / "absent")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_and_the_url_of_its_file_are_the_same_store(tmp_path: Path):
+    folder = tmp_path / "a ?#%26b"  # nothing in a folder's name is special
+    with Store.open(folder, create=True) as store:
+        store.create_league(LEAGUE)
+        digest = store.blobs.put(b"a policy")
+    with Store.open(folder) as store:
+        assert [league.name for league in store.leagues()] == ["cup"]
+    folder = folder.rename(tmp_path / "moved")
+    with Store.open(f"sqlite:///{folder}/league.db") as store:
+        assert [league.name for league in store.leagues()] == ["cup"]
+        assert store.blobs.get(digest) == b"a policy"
+
+
+def test_reading_changes_no_file(tmp_path: Path):
+    with Store.open(tmp_path, create=True) as store:
+        store.create_league(LEAGUE)
+    before = contents(tmp_path)
+    with Store.open(tmp_path) as store:
+        store.leagues()
+        store.jobs("cup")
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("create", [False, True])
+def test_something_else_is_left_as_it_is(tmp_path: Path, create: bool):
+    text, photos, music = tmp_path / "notes.txt", tmp_path / "photos.db", tmp_path / "music.db"
+    text.write_text("not a database\n" * 100)
+    db = sqlite3.connect(photos)
+    db.execute("CREATE TABLE photos (name)")
+    db.close()
+    db = sqlite3.connect(tmp_path / "played.db")
+    db.execute("PRAGMA journal_mode = WAL")
+    db.execute("CREATE TABLE music (name)")
+    for end in ("", "-wal"):  # as after a crash: what was written last is still in the log
+        shutil.copy(tmp_path / f"played.db{end}", f"{music}{end}")
+    db.close()
+    before = contents(tmp_path)
+    for where, complaint in (
+        (str(text), "is a file"),
+        (f"sqlite:///{text}", "nor any SQLite database"),
+        (f"sqlite:///{photos}", "something else .it has 'photos'"),
+        (f"sqlite:///{music}", "something else .it has 'music'"),
+        (f"sqlite:///{tmp_path}", "is a folder"),
+    ):
+        with pytest.raises(NotAStore, match=complaint):
+            Store.open(where, create=create)
+    after = contents(tmp_path)
+    assert {path: after[path] for path in before} == before
+
+
+def test_a_store_that_was_being_made_when_killed_is_made_anew(tmp_path: Path):
+    (tmp_path / "league.db").touch()
+    with pytest.raises(NotAStore, match="creates one"):
+        Store.open(tmp_path)
+    with Store.open(tmp_path, create=True) as store:
+        assert store.leagues() == []
+
+
+@pytest.mark.parametrize(
+    ("where", "complaint"),
+    [
+        ("mysql://host/db", "mysql://host/db.*postgresql:// is possible"),
+        ("sqlite://", "give a file"),
+        ("sqlite:///:memory:", "give a file"),
+        ("not a url://", "no database URL"),
+        ("postgresql://user:secret@host/db", r"user:\*\*\*@host/db: say where its blobs are kept"),
+    ],
+)
+def test_other_places_say_what_is_possible(tmp_path: Path, where: str, complaint: str):
+    with pytest.raises(StorageError, match=complaint):
+        Store.open(where, create=True, blobs=None if "secret" in where else str(tmp_path))
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match=r"Cannot make a store at .*file/runs/league.db: Not a directory") as caught:
+        Store.open(tmp_path / "file" / "runs", create=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_store_of_somebody_else_is_one_line(tmp_path: Path):
+    with Store.open(tmp_path / "theirs", create=True) as store:
+        store.create_league(LEAGUE)
+    (tmp_path / "theirs").chmod(0o500)
+    if os.access(tmp_path / "theirs", os.W_OK):
+        pytest.skip("this user, root, may write everywhere")
+    with pytest.raises(StorageError, match="no permission to write"):
+        Store.open(tmp_path / "theirs")
+    (tmp_path / "theirs").chmod(0o000)
+    with pytest.raises(StorageError, match="Permission denied"):
+        Store.open(tmp_path / "theirs", create=True)
+    (tmp_path / "theirs").chmod(0o700)
+
+
+def test_a_full_disk_is_one_line_and_writes_nothing(tmp_path: Path):
+    with Store.open(tmp_path, create=True) as store:
+        store.create_league(LEAGUE)
+
+        @sa.event.listens_for(store._engine, "begin")
+        def _fill(db: sa.Connection) -> None:
+            db.exec_driver_sql("PRAGMA max_page_count = 1")  # SQLite then says what it says on a full disk
+
+        with pytest.raises(StorageError, match="the disk is full; nothing was half written"):
+            store.set_config("cup", "x" * 1_000_000)
+        assert store.league("cup").config == LEAGUE.config
+
+
+def test_a_newer_store_is_refused_and_both_schemas_named(place: tuple[str, str], monkeypatch: pytest.MonkeyPatch):
+    where, blobs = place
+    monkeypatch.setattr(tables, "MIGRATIONS", [print] * 6)
+    Store.open(where, create=True, blobs=blobs).close()
+    monkeypatch.undo()
+    for create in (False, True):
+        with pytest.raises(NewerStore, match="has schema 7, but this program knows only up to 1: update"):
+            Store.open(where, create=create, blobs=blobs)
+
+
+def add_notes(db: sa.Connection) -> None:
+    db.execute(sa.text("CREATE TABLE notes (body TEXT)"))
+
+
+def fill_notes_and_fail(db: sa.Connection) -> None:
+    db.execute(sa.text("INSERT INTO notes VALUES ('half')"))
+    db.execute(sa.text("INSERT INTO nowhere VALUES (1)"))
+
+
+def fill_notes(db: sa.Connection) -> None:
+    db.execute(sa.text("INSERT INTO notes VALUES ('whole')"))
+
+
+def test_each_migration_is_whole_recorded_and_made_once(place: tuple[str, str], monkeypatch: pytest.MonkeyPatch):
+    where, blobs = place
+    Store.open(where, create=True, blobs=blobs).close()
+    monkeypatch.setattr(tables, "MIGRATIONS", [add_notes, fill_notes_and_fail])
+    with pytest.raises(StorageError, match="nowhere"):
+        Store.open(where, blobs=blobs)
+    monkeypatch.setattr(tables, "MIGRATIONS", [add_notes, fill_notes])
+    for _ in range(2):
+        with Store.open(where, blobs=blobs) as store, store._engine.connect() as db:
+            made = db.execute(sa.select(tables.changes.c.schema, tables.changes.c.change)).all()
+            notes = db.execute(sa.text("SELECT body FROM notes")).all()
+        assert sorted(map(tuple, made)) == [(1, "created"), (2, "add_notes"), (3, "fill_notes")]
+        assert notes == [("whole",)]
+
+
+def make(where: str, blobs: str, name: str) -> None:
+    with Store.open(where, create=True, blobs=blobs) as store:
+        store.create_league(League(name, LEAGUE.arena, ""))
+
+
+def test_a_store_made_by_many_at_once_is_one_store(place: tuple[str, str]):
+    context = multiprocessing.get_context("spawn")
+    makers = [context.Process(target=make, args=(*place, f"cup {i}")) for i in range(6)]
+    for maker in makers:
+        maker.start()
+    for maker in makers:
+        maker.join()
+    assert [maker.exitcode for maker in makers] == [0] * 6
+    with Store.open(place[0], blobs=place[1]) as store:
+        assert {league.name for league in store.leagues()} == {f"cup {i}" for i in range(6)}
+
+
+def test_opening_a_store_loads_nothing_heavy():
+    code = "import storage.store, sys; print({'jax', 'torch', 'mujoco', 'pandas', 'numpy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -1,0 +1,147 @@
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from storage.recording import Recording, RecordingError, RecordingHeader, from_bytes, to_bytes
+from storage.records import ArenaKey
+
+HEADER = RecordingHeader(
+    league="demo",
+    match=7,
+    seed=2**63 + 1,
+    world=3,
+    arena=ArenaKey("sumo", "c0ffee", "warp"),
+    sides=("blue@16", "red@8"),
+    digests=("ab" * 32, "cd" * 32),
+    teams=("blue", "red"),
+    agents=(("blue/0", "blue/1"), ("red/0",)),
+    score=(1.0, 0.0),
+    outcome="win blue",
+    dt=0.02,
+    marker_kinds={"ring": "circle"},
+    versions={"mujoco": "3.17.0", "jax": "0.11"},
+    created=1.7e9 + 0.123456789,
+)
+
+
+def recording(steps=40, **changes):
+    """Every array holds awkward values: irrational, negative zero, infinities, NaN, denormals."""
+    rng = np.random.default_rng(0)
+    qpos = rng.standard_normal((steps, 14))
+    qpos[0, :5] = [-0.0, np.inf, -np.inf, np.nan, 5e-324]
+    values = dict(
+        header=HEADER,
+        xml="<mujoco model='é'/>",
+        time=np.arange(1, steps + 1) * 0.02,
+        qpos=qpos,
+        actions={
+            "red/0": rng.standard_normal((steps, 2)),
+            "blue/0": rng.standard_normal((steps, 3)).astype(np.float32),
+            "blue/1": rng.standard_normal((steps, 1)),
+        },
+        reward=rng.standard_normal((steps, 2)),
+        score=np.cumsum(rng.integers(0, 2, (steps, 2)), axis=0),
+        markers={"ring": np.stack([np.zeros(steps), np.zeros(steps), np.linspace(2, 1, steps)], 1)},
+        events=[(5, "red/0 leaves the ring"), (5, "win blue"), (39, "ende ✓")],
+    )
+    return Recording(**(values | changes))
+
+
+def test_what_is_read_is_what_was_written_bit_for_bit():
+    written = recording()
+    read = from_bytes(to_bytes(written))
+
+    assert read.header == written.header
+    assert (read.xml, read.events) == (written.xml, written.events)
+    for name in ("time", "qpos", "reward", "score"):
+        assert getattr(read, name).tobytes() == getattr(written, name).tobytes(), name
+        assert getattr(read, name).shape == getattr(written, name).shape, name
+    for name in ("actions", "markers"):
+        arrays = getattr(written, name)
+        assert set(getattr(read, name)) == set(arrays)
+        for key, array in arrays.items():
+            assert getattr(read, name)[key].tobytes() == array.tobytes(), (name, key)
+
+
+def test_float32_actions_come_back_with_the_same_values():
+    written = recording().actions["blue/0"]
+    assert np.array_equal(written.astype(np.float32), from_bytes(to_bytes(recording())).actions["blue/0"])
+
+
+def test_same_content_gives_same_bytes_whatever_the_order_of_a_dict():
+    first = recording()
+    again = recording(actions=dict(reversed(recording().actions.items())))
+    assert to_bytes(first) == to_bytes(again)
+    assert to_bytes(first) == to_bytes(from_bytes(to_bytes(first)))
+
+
+def test_a_changed_value_changes_the_bytes():
+    qpos = recording().qpos.copy()
+    qpos[-1, -1] = np.nextafter(qpos[-1, -1], 9)
+    assert to_bytes(recording(qpos=qpos)) != to_bytes(recording())
+
+
+def test_every_damaged_byte_is_noticed():
+    data = to_bytes(recording(steps=40))
+    for at in range(len(data)):
+        damaged = bytearray(data)
+        damaged[at] ^= 0x10
+        with pytest.raises(RecordingError):
+            from_bytes(bytes(damaged))
+
+
+def test_a_truncated_file_is_noticed_at_every_length():
+    data = to_bytes(recording())
+    for length in range(len(data)):
+        with pytest.raises(RecordingError):
+            from_bytes(data[:length])
+    with pytest.raises(RecordingError, match="damaged or cut short"):
+        from_bytes(data + b"\0")
+
+
+def test_a_sound_mcap_file_of_something_else_is_refused(monkeypatch):
+    monkeypatch.setattr("storage.recording.FORMAT", 99)
+    from_another_version = to_bytes(recording())
+    monkeypatch.undo()
+    with pytest.raises(RecordingError, match="format 99"):
+        from_bytes(from_another_version)
+
+
+def test_other_mcap_tools_read_the_file():
+    reader = make_reader(io.BytesIO(to_bytes(recording())), validate_crcs=True, decoder_factories=[DecoderFactory()])
+    steps = list(reader.iter_decoded_messages(topics="/match/step"))
+    events = list(reader.iter_decoded_messages(topics="/match/event"))
+
+    assert reader.get_header().profile == "league"
+    assert [a.name for a in reader.iter_attachments()] == ["arena.xml"]
+    assert [m.name for m in reader.iter_metadata()] == ["league.match"]
+    assert [s.message.sequence for s in steps] == list(range(40))
+    assert [s.message.log_time for s in steps] == [t * 20_000_000 for t in range(40)]
+    assert list(steps[7].decoded_message.qpos) == recording().qpos[7].tolist()
+    assert [(e.message.log_time, e.decoded_message.text) for e in events] == [
+        (100_000_000, "red/0 leaves the ring"),
+        (100_000_000, "win blue"),
+        (780_000_000, "ende ✓"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"qpos": np.zeros((39, 14))}, r"qpos has shape \(39, 14\), expected \(40, None\)"),
+        ({"reward": np.zeros(40)}, r"reward has shape \(40,\), expected \(40, 2\)"),
+        ({"score": np.zeros((40, 3))}, r"score has shape \(40, 3\)"),
+        ({"actions": {"blue/0": np.zeros((40, 3))}}, r"the header names \['blue/0', 'blue/1', 'red/0'\]"),
+        ({"markers": {}}, "ring"),
+        ({"events": [(40, "too late")]}, "'too late' at step 40 of 40"),
+        ({"header": dataclasses.replace(HEADER, score=(1.0,))}, "score has 1 entries for 2 teams"),
+        ({"time": np.zeros(0)}, "at least one step"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_by_name(changes, message):
+    with pytest.raises(ValueError, match=message):
+        recording(**changes)

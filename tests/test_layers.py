@@ -1,0 +1,52 @@
+"""Who may import whom; pyproject.toml holds the contracts between folders."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("league", "dashboards", "agents", "matchmaking", "arenas", "storage")
+
+
+def run(*command: str | Path) -> str:
+    """Run a command in the repository; fail with what it said."""
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def packages_imported(source: str) -> set[str]:
+    """Return the top-level packages that a module names in import statements, however deep inside functions."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module)
+    return {name.partition(".")[0] for name in names}
+
+
+def test_folders_import_only_downwards():
+    assert "0 broken" in run(Path(sys.executable).with_name("lint-imports"))
+
+
+def test_imports_are_found_wherever_they_stand():
+    source = "import jax.numpy as jnp, os\ndef f():\n    from torch.utils import dlpack\n    from .torch import x"
+    assert packages_imported(source) == {"jax", "os", "torch"}
+
+
+def test_only_the_bridge_imports_both_jax_and_torch():
+    files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
+    assert len(files) >= len(FOLDERS)
+    both = [file.relative_to(ROOT) for file in files if {"jax", "torch"} <= packages_imported(file.read_text("utf-8"))]
+    assert both == [Path("agents/bridge.py")]
+
+
+@pytest.mark.parametrize("heavy", ["jax", "torch", "mujoco"])
+def test_the_command_line_starts_without(heavy):
+    loaded = run(sys.executable, "-c", "import league.cli, sys; print(*sys.modules, sep='\\n')").splitlines()
+    assert "league.cli" in loaded
+    assert heavy not in loaded
