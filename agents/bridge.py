@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import torch
 from jax import Array
 from torch import Tensor
@@ -24,7 +25,7 @@ def to_torch(array: Array) -> Tensor:
     return torch.from_dlpack(array)
 
 
-def team_batch(trajectory: Trajectory, team: TeamSpec, index: int, worlds: slice, shaping: float) -> Batch:
+def team_batch(trajectory: Trajectory, team: TeamSpec, index: int, worlds: slice | np.ndarray, shaping: float) -> Batch:
     """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
 
     The reward is the outcome plus `shaping` times the dense hints.

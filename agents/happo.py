@@ -63,7 +63,7 @@ class Batch(NamedTuple):
     rewards: Tensor  # (T, N)
     terminated: Tensor  # (T, N) bool
     truncated: Tensor  # (T, N) bool
-    void: Tensor  # (T, N) bool: this decision taught nothing
+    void: Tensor  # (T, N) bool: what this decision led to is unknown
 
 
 class Learner:
@@ -92,37 +92,44 @@ class Learner:
         self.critic_optimizer = _adam(self.critic, config.critic_lr)
 
     def update(self, batch: Batch) -> dict[str, float]:
-        """One HAPPO update of every actor and of the critic; returns losses and diagnostics, means over the update."""
+        """One HAPPO update of every actor and of the critic; returns losses and diagnostics, means over the update.
+
+        Void decisions are left out: whatever they hold, the update is the same. Where all are void there is none.
+        """
         c = self.config
-        valid = (~batch.void).flatten().float()  # (TN,)
+        valid = ~batch.void  # (T, N); below, x[valid] has one row for each of the B valid decisions
+        if not valid.any():
+            return {}
         team = torch.cat(list(batch.observations), -1)  # (T, N, all own observations)
         with torch.no_grad():
-            values = self._denormalise(self.critic(team))
+            predictions = self.critic(team)  # in normalised units, as all that the critic says
+            values = self._denormalise(predictions)
             next_values = self._denormalise(self.critic(torch.cat(list(batch.next_observations), -1)))
-        ended = batch.terminated | batch.truncated | batch.void
-        rewards = torch.where(batch.void, values - c.gamma * next_values, batch.rewards)  # a void decision: δ = 0
-        A = advantages(rewards, values, next_values, batch.terminated, ended, c.gamma, c.lam)
-        returns = (A + values).flatten()
-        A = A.flatten()
+        A = advantages(
+            batch.rewards, values, next_values, batch.terminated, batch.truncated, batch.void, c.gamma, c.lam
+        )[valid]  # (B,)
+        values = values[valid]
+        returns = A + values
+        A_hat = (A - A.mean()) / (A.std(correction=0) + 1e-5)
 
-        M = torch.ones_like(A)  # the ratios of the agents that have already moved, (TN,)
+        M = torch.ones_like(A)  # the ratios of the agents that have already moved, (B,)
         stats: dict[str, list[float]] = {}
         for i in self._order():
-            obs, actions = batch.observations[i].flatten(0, 1), batch.actions[i].flatten(0, 1)
-            log_probs = batch.log_probs[i].flatten()
-            with torch.no_grad():
-                before = self.actors[i](obs).log_prob(actions).sum(-1)
-            A_hat = _standardise(A, valid)
-            self._update_actor(i, obs, actions, log_probs, M * A_hat, valid, stats)
-            with torch.no_grad():
-                after = self.actors[i](obs).log_prob(actions).sum(-1)
-            M = M * torch.exp(after - before)
-        self._update_critic(team.flatten(0, 1), values.flatten(), returns, valid, stats)
+            obs, actions = batch.observations[i][valid], batch.actions[i][valid]
+            before = self._log_probs(i, obs, actions)
+            self._update_actor(i, obs, actions, batch.log_probs[i][valid], M * A_hat, stats)
+            M = M * torch.exp(self._log_probs(i, obs, actions) - before)
+        self._update_critic(team[valid], predictions[valid], returns, stats)
         if c.normalise_observations:
-            self._observe(batch)
-        spread = returns.var().clamp(min=1e-8)
-        stats["explained_variance"] = [float(1 - (returns - values.flatten()).var() / spread)]
+            self._observe([o[valid] for o in batch.observations])
+        spread = returns.var(correction=0).clamp(min=1e-8)
+        stats["explained_variance"] = [float(1 - (returns - values).var(correction=0) / spread)]
         return {name: float(np.mean(x)) for name, x in stats.items()}
+
+    @torch.no_grad()
+    def _log_probs(self, i: int, obs: Tensor, actions: Tensor) -> Tensor:
+        """Log densities of the actions under agent i's present policy."""
+        return self.actors[i](obs).log_prob(actions).sum(-1)
 
     def _update_actor(
         self,
@@ -131,7 +138,6 @@ class Learner:
         actions: Tensor,
         old: Tensor,
         MA: Tensor,
-        valid: Tensor,
         stats: dict[str, list[float]],
     ) -> None:
         """Clipped surrogate of PPO on M·Â, an entropy bonus, `epochs` × `minibatches` steps of Adam."""
@@ -140,24 +146,20 @@ class Learner:
             policy = actor(obs[rows])
             ratio = torch.exp(policy.log_prob(actions[rows]).sum(-1) - old[rows])
             surrogate = torch.min(ratio * MA[rows], ratio.clamp(1 - c.clip, 1 + c.clip) * MA[rows])
-            entropy = _mean(policy.entropy().sum(-1), valid[rows])
-            loss = -_mean(surrogate, valid[rows]) - c.entropy * entropy
+            entropy = policy.entropy().sum(-1).mean()
+            loss = -surrogate.mean() - c.entropy * entropy
             self._step(self.actor_optimizers[i], actor, loss)
-            _note(stats, policy_loss=loss, entropy=entropy, ratio=_mean(ratio, valid[rows]))
+            _note(stats, policy_loss=loss, entropy=entropy, ratio=ratio.mean())
 
-    def _update_critic(
-        self, team: Tensor, old: Tensor, returns: Tensor, valid: Tensor, stats: dict[str, list[float]]
-    ) -> None:
+    def _update_critic(self, team: Tensor, old: Tensor, returns: Tensor, stats: dict[str, list[float]]) -> None:
         """Clipped value loss under Huber, on returns that the normaliser has just seen."""
         c = self.config
         for rows in self._minibatches(len(team)):
             if c.value_norm:
                 self.value_norm.update(returns[rows])
-            target, old_value = self._normalise(returns[rows]), self._normalise(old[rows])
-            value = self.critic(team[rows])
-            clipped = old_value + (value - old_value).clamp(-c.clip, c.clip)
-            losses = torch.max(self._huber(target - value), self._huber(target - clipped))
-            loss = _mean(losses, valid[rows])
+            target, value = self._normalise(returns[rows]), self.critic(team[rows])
+            clipped = old[rows] + (value - old[rows]).clamp(-c.clip, c.clip)
+            loss = torch.max(self._huber(target - value), self._huber(target - clipped)).mean()
             self._step(self.critic_optimizer, self.critic, loss)
             _note(stats, value_loss=loss)
 
@@ -190,20 +192,19 @@ class Learner:
         return self.value_norm.denormalise(values) if self.config.value_norm else values
 
     @torch.no_grad()
-    def _observe(self, batch: Batch) -> None:
-        """Merge the batch's observations into the running statistics (Chan et al., 1979), after they were learnt from."""
-        n = batch.rewards.numel()
+    def _observe(self, observations: Sequence[Tensor]) -> None:
+        """Merge observations (B, obs) into the running statistics (Chan et al., 1979), after they were learnt from."""
+        n = len(observations[0])
         weight = n / (float(self.observation_count) + n)
         self.observation_count += n
         trunks = [*(actor.trunk for actor in self.actors), self.critic.trunk]
-        for trunk, obs in zip(trunks, [*batch.observations, torch.cat(list(batch.observations), -1)], strict=True):
-            flat = obs.flatten(0, 1)
-            gap = flat.mean(0) - trunk.observation_mean
+        for trunk, obs in zip(trunks, [*observations, torch.cat(list(observations), -1)], strict=True):
+            gap = obs.mean(0) - trunk.observation_mean
             var = trunk.observation_var
-            var += weight * (flat.var(0, unbiased=False) - var) + weight * (1 - weight) * gap**2
+            var += weight * (obs.var(0, correction=0) - var) + weight * (1 - weight) * gap**2
             trunk.observation_mean += weight * gap
 
-    # State ---------------------------------------------------------------------------------------------------------------
+    # State -----------------------------------------------------------------------------------------------------------
 
     def policies(self) -> list[dict[str, Tensor]]:
         """Each actor's state dict, which is its policy; the tensors are live."""
@@ -215,11 +216,12 @@ class Learner:
         return {**arrays, "rng": self.rng.get_state().numpy().copy()}
 
     def load(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from `state()`. Raises ValueError naming what is missing or of another shape."""
-        for optimizer, module in self._optimized():
-            _prime(optimizer, module)
+        """Go on from `state()`. Raises ValueError naming what is missing, of another shape or another activation."""
         tensors = self._tensors()
         wrong = [k for k, t in tensors.items() if k not in state or np.shape(state[k]) != tuple(t.shape)]
+        fixed = [f"actor.{i}.activation" for i in range(len(self.actors))]
+        wrong += [k for k in fixed if k not in wrong and state[k] != tensors[k].item()]
+        wrong += ["rng"] if "rng" not in state else []
         if wrong:
             raise ValueError(f"the checkpoint does not fit this learner: {', '.join(wrong[:3])} ({len(wrong)} in all)")
         with torch.no_grad():
@@ -231,40 +233,28 @@ class Learner:
         return [*zip(self.actor_optimizers, self.actors, strict=True), (self.critic_optimizer, self.critic)]
 
     def _tensors(self) -> dict[str, Tensor]:
-        """Every tensor of the state by name; Adam's moments join once it has made its first step."""
+        """Every tensor of the state by name."""
         modules = {**{f"actor.{i}": a for i, a in enumerate(self.actors)}, "critic": self.critic}
         tensors = {f"{m}.{k}": v for m, module in modules.items() for k, v in module.state_dict().items()}
         tensors |= {f"value_norm.{k}": v for k, v in self.value_norm.state_dict().items()}
         tensors["observation_count"] = self.observation_count
         for name, (optimizer, module) in zip(modules, self._optimized(), strict=True):
             for parameter_name, parameter in module.named_parameters():
-                moments = optimizer.state.get(parameter, {})
+                moments = optimizer.state[parameter]
                 tensors |= {f"adam.{name}.{parameter_name}.{k}": v for k, v in moments.items()}
         return tensors
 
 
 def _adam(module: nn.Module, lr: float) -> torch.optim.Adam:
-    return torch.optim.Adam(module.parameters(), lr=lr, eps=1e-5, foreach=True)
-
-
-def _prime(optimizer: torch.optim.Adam, module: nn.Module) -> None:
-    """Give Adam its moments without moving a weight, so that saved ones have a place to go."""
+    """Adam with its moments made at once, where it would make them at its first step: a fresh state is complete too."""
+    optimizer = torch.optim.Adam(module.parameters(), lr=lr, eps=1e-5, foreach=True)
     for parameter in module.parameters():
-        if parameter not in optimizer.state:
-            optimizer.state[parameter] = {
-                "step": torch.zeros(()),
-                "exp_avg": torch.zeros_like(parameter),
-                "exp_avg_sq": torch.zeros_like(parameter),
-            }
-
-
-def _mean(x: Tensor, valid: Tensor) -> Tensor:
-    return (x * valid).sum() / valid.sum().clamp(min=1.0)
-
-
-def _standardise(x: Tensor, valid: Tensor) -> Tensor:
-    mean = _mean(x, valid)
-    return (x - mean) / (torch.sqrt(_mean((x - mean) ** 2, valid)) + 1e-5)
+        optimizer.state[parameter] = {
+            "step": torch.zeros(()),
+            "exp_avg": torch.zeros_like(parameter),
+            "exp_avg_sq": torch.zeros_like(parameter),
+        }
+    return optimizer
 
 
 def _note(stats: dict[str, list[float]], **values: Tensor) -> None:

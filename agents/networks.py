@@ -2,12 +2,13 @@
 
 Trunk and heads are HARL's (Zhong et al., 2024): optional LayerNorm on the input, then Linear → activation → optional
 LayerNorm for each hidden layer; orthogonal weights, zero biases, a small last layer. The standard deviation does not
-depend on the state: σ = sigmoid(λ / x) · y with λ = x at the start; HARL's x = 1, y = 0.5 give σ = 0.366. Here x = 1 and y
-follows from the wanted first σ, so that σ stays within (0, y).
+depend on the state: σ = sigmoid(λ / x) · y with λ = x at the start; HARL's x = 1, y = 0.5 give σ = 0.366. Here x = 1
+and y follows from the wanted first σ, so that σ stays within (0, y).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import torch
@@ -41,15 +42,19 @@ class Architecture:
 class Trunk(nn.Module):
     """From observations (..., n) to features (..., hidden[-1])."""
 
+    observation_mean: Tensor  # (n,)
+    observation_var: Tensor  # (n,)
+
     def __init__(self, size: int, architecture: Architecture):
         super().__init__()
         widths = (size, *architecture.hidden)
         self._apply_activation = _APPLY[architecture.activation]
-        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        layers = [nn.Linear(a, b) for a, b in pairwise(widths)]
+        self.hidden = nn.ModuleList(layers)
         self.norm = nn.ModuleList(nn.LayerNorm(w) for w in widths if architecture.layer_norm)
         self.register_buffer("observation_mean", torch.zeros(size))
         self.register_buffer("observation_var", torch.ones(size))
-        for layer in self.hidden:
+        for layer in layers:
             nn.init.orthogonal_(layer.weight, _GAIN[architecture.activation])
             nn.init.zeros_(layer.bias)
 
@@ -65,6 +70,9 @@ class Trunk(nn.Module):
 
 class Actor(nn.Module):
     """A diagonal Gaussian over actions, neither squashed nor clipped; the robot clips what it is told."""
+
+    std_scale: Tensor  # () y
+    activation: Tensor  # () int, an index into ACTIVATIONS: this is how the policy in JAX learns of it
 
     def __init__(self, observation_size: int, action_size: int, architecture: Architecture, initial_std: float):
         super().__init__()

@@ -9,28 +9,35 @@ def advantages(
     values: Tensor,
     next_values: Tensor,
     terminated: Tensor,
-    ended: Tensor,
+    truncated: Tensor,
+    void: Tensor,
     gamma: float,
     lam: float,
 ) -> Tensor:
     """Generalised advantage estimation (Schulman et al., 2016, eq. 16), (T, N).
 
     `values` are V(s_t), `next_values` V(s_{t+1}) of the state that really followed, before any new episode began. A
-    `terminated` state has no future; an `ended` episode (terminated, truncated or void) hands nothing back to the one
-    before it. So a time limit is bootstrapped with the value of its true last observation, and a real end is not.
+    `terminated` state has no future; an episode that ended, for whatever reason, hands nothing back to the one before
+    it. So a time limit is bootstrapped with the value of its true last observation, and a real end is not. What a
+    `void` decision led to is unknown: its own advantage is 0, and those before it bootstrap with V where it was taken.
     """
+    ended = terminated | truncated | void
     advantage = torch.zeros_like(rewards[0])
     out = torch.empty_like(rewards)
     for t in reversed(range(len(rewards))):
         # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
         delta = rewards[t] + gamma * next_values[t] * ~terminated[t] - values[t]
-        advantage = delta + gamma * lam * advantage * ~ended[t]
+        advantage = torch.where(void[t], 0.0, delta + gamma * lam * advantage * ~ended[t])
         out[t] = advantage
     return out
 
 
 class ValueNorm(nn.Module):
     """Running mean and variance of returns with a bias correction, as HARL's: β = 0.99999, variance at least 0.01."""
+
+    mean_sum: Tensor  # ()
+    square_sum: Tensor  # ()
+    weight: Tensor  # ()
 
     def __init__(self, beta: float = 0.99999):
         super().__init__()

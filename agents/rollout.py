@@ -1,7 +1,7 @@
 """Collecting experience and playing matches, each one jitted `lax.scan`: nothing leaves the device per step.
 
-T decisions, N worlds, K opponents: worlds are split into K groups of N/K, and in group k each agent acts with the k-th of
-its stacked policies.
+T decisions, N worlds, K opponents: worlds are split into K groups of N/K, and in group k each agent acts with the k-th
+of its stacked policies.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,7 +42,7 @@ class Games(NamedTuple):
     running: Array  # (T, R) bool: the episode was still on before this decision
 
 
-def make_rollout(arena: Arena, length: int) -> Callable[[Mapping[str, Params], State, Array], tuple[State, Trajectory]]:
+def make_rollout(arena: Arena, length: int) -> jax.stages.Wrapped:
     """Compile the training rollout: `rollout(policies, state, key) -> (state, trajectory)`.
 
     `policies` are stacked per agent (K, ...), `state` is a batch of N worlds, a multiple of K. Finished worlds begin

@@ -1,12 +1,13 @@
 """Bodies and rules: games with physics, one per file, behind one contract. Knows nothing of learning.
 
-`names()` lists the arenas, `settings(name)` gives an arena's settings, `load(name)` builds it. An arena of your own needs
-no registration: `path/to/duel.py:duel` names the arena `duel` of a file, `package.module:duel` that of a module.
+`names()` lists the arenas, `settings(name)` gives an arena's settings, `load(name)` builds it. An arena of your own
+needs no registration: `path/to/duel.py:duel` names the arena `duel` of a file, `package.module:duel` that of a module.
 """
 
 import difflib
 import importlib
 import importlib.util
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -51,17 +52,38 @@ def _module(where: str) -> ModuleType:
     from arenas.arena import ArenaError
 
     if where.endswith(".py"):
-        path = Path(where)
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        if spec is None or spec.loader is None or not path.is_file():
-            raise ArenaError(f"no arena file {where}: give a path such as my/duel.py:duel")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+        module = _file(Path(where))
     else:
         try:
             module = importlib.import_module(where)
         except ModuleNotFoundError as error:
+            if error.name is None or not f"{where}.".startswith(f"{error.name}."):
+                raise  # the module is there, and something that it imports is not
             raise ArenaError(f"no arena module {where!r}: give a file such as my/duel.py:duel or a module") from error
     if not hasattr(module, "ARENAS"):
         raise ArenaError(f"{where} lists no arenas: it needs ARENAS = (settings, ...)")
     return module
+
+
+def _file(path: Path) -> ModuleType:
+    """The module in a file, run once in a process.
+
+    It is listed in `sys.modules`, where dataclasses and the settings look for its types and for the notes under its
+    fields, by its whole path, so that it hides no module of the same name.
+    """
+    from arenas.arena import ArenaError
+
+    if not path.is_file():
+        raise ArenaError(f"no arena file {path}: give a path such as my/duel.py:duel")
+    name = str(path.resolve())
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(sys.modules[name])
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]

@@ -121,6 +121,8 @@ class Where(TypedDict, total=False):
 class Settings(Protocol):
     """An arena's settings: a frozen dataclass of plain values that can build it."""
 
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
     @property
     def name(self) -> str:
         """The arena's name, e.g. `sumo-2v2`."""
@@ -137,8 +139,8 @@ class Arena(ABC):
     derived: ClassVar[tuple[str, ...]] = ()  # fields of Physics beyond qpos and qvel that the hooks read
     law: Law | None = None  # actuation law, run before every substep
     marker_kinds: ClassVar[Mapping[str, str]] = {}  # drawn with the robots: name -> "circle" (x, y, radius)
-    contacts: ClassVar[int] = 24  # Warp's contact slots per world
-    rows: ClassVar[int] = 128  # Warp's constraint rows per world
+    contacts: int = 24  # Warp's contact slots per world
+    rows: int = 128  # Warp's constraint rows per world
 
     def __init__(
         self,

@@ -7,7 +7,7 @@
 | `warp` | NVIDIA GPU, default there   | MJX, `impl='warp'`                                           |
 
 An engine makes a state from (qpos, qvel), steps it under a command and an actuation law, and places chosen worlds anew.
-MuJoCo resets a world by itself when numbers go bad; that is switched off here, and such a world is told `unstable`.
+MuJoCo in C resets a world by itself when numbers go bad; that is switched off, and such a world is told `unstable`.
 """
 
 import threading
@@ -72,7 +72,6 @@ class Engine(ABC):
             raise EngineError(
                 f"an engine cannot derive {', '.join(sorted(unknown))}; it can derive {', '.join(DERIVED)}"
             )
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.derived = derived
 
@@ -101,7 +100,9 @@ class Engine(ABC):
             for _ in range(n_substeps):
                 physics = self._substeps(physics, law(physics.qpos, physics.qvel, command), 1)
         bad = ~jnp.all(jnp.isfinite(physics.qpos)) | ~jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
-        time = start + n_substeps * self.model.opt.timestep
+        # Whole timesteps: a float32 sum of them is off by a control step after two minutes.
+        timestep = self.model.opt.timestep
+        time = (jnp.round(start / timestep) + n_substeps) * timestep
         return self._derive(physics._replace(time=time, unstable=physics.unstable | bad))
 
     def place(self, physics: Physics, qpos: Array, qvel: Array, where: Array) -> Physics:
@@ -126,6 +127,10 @@ class CEngine(Engine):
     name = "c"
 
     def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...] = (), threads: int = 0):
+        # Only C has this reset: MJX never had it, and its Warp half refuses the flag.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        if mujoco.get_mju_user_warning() is None:  # warnings are counted below: no need to print and log each one
+            mujoco.set_mju_user_warning(_ignore)
         super().__init__(model, derived)
         self._threads = threads
         self._lock = threading.Lock()
@@ -136,6 +141,7 @@ class CEngine(Engine):
             self._stage = mujoco.mjtStage.mjSTAGE_POS
 
     def make(self, qpos: Array, qvel: Array) -> Physics:
+        """A fresh world; the carry is its warm start (nv,) and its actuators' activations (na,)."""
         m = self.model
         carry = (jnp.zeros(m.nv), jnp.zeros(m.na))
         return self._derive(Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), jnp.zeros((), bool), carry))
@@ -183,18 +189,14 @@ class CEngine(Engine):
     def _step_on_host(self, n: int, *state: Any) -> tuple[np.ndarray, ...]:
         with self._lock:
             batch, lead = self._load(*state)
+            batch.warning[:] = 0
             failed = np.zeros(batch.nsim, bool)
             try:
                 batch.step(nstep=n)
             except SimulationError as error:
                 failed[error.ids] = True
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # a world that blew up may not fit float32: it is told unstable
-                rows = [
-                    batch.bind(name).astype(np.float32).reshape(*lead, -1)
-                    for name in ("qpos", "qvel", "qacc_warmstart", "act")
-                ]
+            failed |= batch.warning[:, :, 1].any(axis=1)  # (worlds, kinds, [detail, count]): bad numbers, full buffers
+            rows = (_narrow(batch.bind(name), lead) for name in ("qpos", "qvel", "qacc_warmstart", "act"))
             return *rows, failed.reshape(lead)
 
     def _derive_on_host(self, *state: Any) -> tuple[np.ndarray, ...]:
@@ -202,11 +204,11 @@ class CEngine(Engine):
             batch, lead = self._load(*state)
             outputs = [batch.bind(name) for name in self.derived]
             batch.forward(stage=self._stage)
-            return tuple(x.astype(np.float32).reshape(*lead, *x.shape[1:]) for x in outputs)
+            return tuple(_narrow(x, lead) for x in outputs)
 
 
 class MjxEngine(Engine):
-    """MuJoCo XLA, in JAX or in Warp kernels. `worlds` is the most worlds stepped together: it sizes Warp's contact pool."""
+    """MuJoCo XLA, in JAX or in Warp kernels. `worlds`, the most stepped together, sizes Warp's contact pool."""
 
     def __init__(
         self,
@@ -223,11 +225,12 @@ class MjxEngine(Engine):
         self._mjx = mjx.put_model(model, impl=impl)
         self._buffers: dict[str, int] = {}
         if impl == "warp":
-            # One contact pool serves all worlds; overflow is read below and voids the episode, so the print is silenced.
+            # One contact pool serves all worlds; overflow is read below and voids the episode: no need to print it.
             self._mjx = self._mjx.tree_replace({"opt._impl.warn_overflow": 0})
             self._buffers = {"naconmax": contacts * worlds, "njmax": rows}
 
     def make(self, qpos: Array, qvel: Array) -> Physics:
+        """A fresh world; the carry is MJX's own data."""
         data = mjx.make_data(self.model, impl=self.name, **self._buffers).replace(qpos=qpos, qvel=qvel)
         zero = jnp.zeros(())
         return self._derive(Physics(qpos, qvel, jnp.zeros(self.model.nu), zero, jnp.zeros((), bool), data))
@@ -244,6 +247,9 @@ class MjxEngine(Engine):
         )
 
     def _place(self, carry: Any, qpos: Array, qvel: Array, where: Array) -> Any:
+        if self.name == "warp":  # Warp only ever adds overflow bits
+            overflow = jnp.where(where, 0, carry._impl.overflow)
+            carry = carry.tree_replace({"_impl.overflow": overflow})
         return carry.replace(
             qpos=qpos,
             qvel=qvel,
@@ -293,6 +299,16 @@ def make_engine(
             ) from error
         return MjxEngine(model, derived, impl="warp", worlds=worlds, contacts=contacts, rows=rows)
     return MjxEngine(model, derived, impl="jax")
+
+
+def _narrow(values: np.ndarray, lead: tuple[int, ...]) -> np.ndarray:
+    """(worlds, ...) float64 as (*lead, ...) float32. What blew up may not fit: it becomes infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32).reshape(*lead, *values.shape[1:])
+
+
+def _ignore(message: str) -> None:
+    """Take a warning of MuJoCo's and do nothing."""
 
 
 def _f32(*shape: int) -> jax.ShapeDtypeStruct:

@@ -23,6 +23,7 @@ Rules and settings of the quick start: `docs/arenas/sumo.md` says why each is wh
 between equals end on time. Here the ring may shrink late in a match (sudden death).
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import ClassVar, NamedTuple, Unpack
@@ -39,6 +40,9 @@ from arenas.robots.leatherback import leatherback
 TEAMS = ("blue", "red")
 OWN, PER_OTHER = 11, 9  # numbers in an observation
 UPRIGHT = 0.3  # an up axis whose world z is below this is a fall
+HULL = 0.59  # m, a rover from corner to corner
+NEAREST, FARTHEST = 0.35, 0.75  # where robots start, as shares of the ring's radius
+WOBBLE = 0.25  # rad by which a team may stand off the diameter
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,16 @@ class SumoSettings:
     reward: SumoReward = field(default_factory=SumoReward)
     """What shapes learning."""
 
+    def __post_init__(self) -> None:
+        """Check that all robots find room on the innermost circle."""
+        angle = _pitch(self.team_size) if self.team_size > 1 else math.pi - 2 * WOBBLE
+        smallest = HULL / (2 * NEAREST * math.sin(angle / 2))
+        if self.rules.ring[0] < smallest:
+            raise ValueError(
+                f"team_size: rovers could start inside each other in a ring of {self.rules.ring[0]} m;"
+                f" rules.ring must begin at {math.ceil(100 * smallest) / 100} m or more"
+            )
+
     def build(self, **where: Unpack[Where]) -> "Sumo":
         """The arena itself."""
         return Sumo(self, **where)
@@ -131,6 +145,9 @@ class Sumo(Arena):
         self.team_size, self.rules, self.weights = settings.team_size, rules, settings.reward
         rover = leatherback(rules.drive_scale, rules.steer_scale)
         timing = Timing(rules.timestep, round(0.02 / rules.timestep), rules.decide_every, rules.episode)
+        # Sized from play: four tyres and a hull with 8 corners on hulls beside it, four rows for each contact.
+        self.contacts = 12 * 2 * settings.team_size
+        self.rows = 4 * self.contacts
         rosters = {team: (rover,) * settings.team_size for team in TEAMS}
         super().__init__(settings.name, rosters, timing, asdict(rules), **where)
         index = [self.scene.agents[a.name] for a in self.agents]
@@ -155,18 +172,18 @@ class Sumo(Arena):
     def place(self, key: Array) -> tuple[Array, Array, Game]:
         """Teams on opposite sides of a random diameter, each robot with its own distance and its own heading.
 
-        Team-mates stand ±0.6 rad apart, so that even on the innermost circle their hulls (0.59 m corner to corner) are
-        clear of each other. The draw treats the teams alike, which makes the arena fair.
+        Even on the innermost circle their hulls are clear of each other: the settings see to that. The draw treats the
+        teams alike, which makes the arena fair.
         """
         keys = jax.random.split(key, 5)
         robots = 2 * self.team_size
         radius = jax.random.uniform(keys[0], (), minval=self.rules.ring[0], maxval=self.rules.ring[1])
         diameter = jax.random.uniform(keys[1], (), maxval=2 * jnp.pi)
         side = jnp.repeat(jnp.array([0.0, jnp.pi]), self.team_size)
-        spread = jnp.tile(1.2 * (jnp.arange(self.team_size) - (self.team_size - 1) / 2), 2)
-        wobble = jnp.repeat(jax.random.uniform(keys[2], (2,), minval=-0.25, maxval=0.25), self.team_size)
+        spread = jnp.tile(_pitch(self.team_size) * (jnp.arange(self.team_size) - (self.team_size - 1) / 2), 2)
+        wobble = jnp.repeat(jax.random.uniform(keys[2], (2,), minval=-WOBBLE, maxval=WOBBLE), self.team_size)
         angle = diameter + side + spread + wobble
-        distance = radius * jax.random.uniform(keys[3], (robots,), minval=0.35, maxval=0.75)
+        distance = radius * jax.random.uniform(keys[3], (robots,), minval=NEAREST, maxval=FARTHEST)
         heading = jax.random.uniform(keys[4], (robots,), maxval=2 * jnp.pi)
         zero = jnp.zeros(robots)
         height = jnp.full(robots, self.robots[self.agents[0].name].rest_height)
@@ -288,6 +305,11 @@ def _drive_towards(bearing: Array, speed: Array) -> Array:
     forwards = jnp.where(bearing[0] > -0.3, 1.0, -1.0)
     steering = jnp.clip(2.0 * jnp.arctan2(bearing[1], jnp.abs(bearing[0])), -1.0, 1.0)
     return jnp.stack([forwards * speed, steering])
+
+
+def _pitch(team_size: int) -> float:
+    """Angle in radians between team-mates: 1.2, or what leaves as much between the teams however these wobble."""
+    return min(1.2, (math.pi - 2 * WOBBLE) / team_size)
 
 
 def _nearest_enemy(xy: Array, team_size: int) -> Array:

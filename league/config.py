@@ -13,7 +13,7 @@ from typing import Any
 import arenas
 from agents.happo import HappoConfig
 from agents.networks import Architecture
-from arenas.engines import EngineName
+from arenas.engines import EngineName, choose
 from league import toml
 from league.durations import seconds
 from league.settings import ConfigError
@@ -145,12 +145,12 @@ class Config:
         """Check what depends on several settings."""
         if self.deterministic and self.training.opponents.kind == "prioritized":
             raise ValueError(
-                "deterministic: opponents.kind = 'prioritized' follows the ratings, whose matches end in no fixed order;"
+                "deterministic: opponents.kind = 'prioritized' follows ratings, whose matches end in no fixed order;"
                 " use latest, uniform or delta_uniform"
             )
         if self.rating.worlds % (2 * self.rating.pairings):
             raise ValueError(
-                f"rating: worlds = {self.rating.worlds} is no multiple of twice the pairings ({2 * self.rating.pairings});"
+                f"rating: worlds {self.rating.worlds} must be a multiple of 2 × pairings, {2 * self.rating.pairings};"
                 " every pairing plays as many episodes on either side"
             )
 
@@ -163,7 +163,9 @@ def default(arena: str = "sumo-2v2") -> Config:
 def quickstart() -> Config:
     """2v2 rovers that learn to push each other out of a shrinking ring: five minutes on two cores, then ratings."""
     config = default()
-    return replace(config, league="quickstart", budget=Budget(train="5m", rate="3m"))
+    # Below 2,000 worlds a GPU waits for launches; on a CPU more worlds only make updates rarer.
+    training = replace(config.training, worlds=2048 if choose("auto") == "warp" else config.training.worlds)
+    return replace(config, league="quickstart", training=training, budget=Budget(train="5m", rate="3m"))
 
 
 def duel() -> Config:

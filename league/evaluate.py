@@ -33,7 +33,7 @@ class Referee:
         return ArenaKey(self.arena.name, self.arena.config_hash, self.arena.engine.name)
 
     def play(self, store: Store, pairs: Sequence[tuple[str, str]], seed: int) -> list[Match]:
-        """Play the pairs and put recordings into the blobs. Fewer pairs than the batch has room for play more episodes."""
+        """Play the pairs and put recordings into the blobs. Pairs fewer than places play more episodes."""
         snapshots = {s.digest: s for s in store.snapshots(self.league)}
         room = [pairs[i % len(pairs)] for i in range(self.pairings)]
         seats = [seating for a, b in room for seating in self._seatings(snapshots[a], snapshots[b])]
@@ -83,11 +83,12 @@ class Referee:
             both = valid[0] & valid[1]
             points = (results[0] + results[1])[both]  # -2, -1, 0, 1, 2
             pairs = PairCounts(*(int((points == p).sum()) for p in (-2, -1, 0, 1, 2)))
-        outcomes = [int((ok & (result == r)).sum()) for r in (1, 0, -1)]
-        sides = [int((home & (result == r)).sum()) for r in (1, 0, -1)]
+        wins, draws, losses = (int((ok & (result == r)).sum()) for r in (1, 0, -1))
+        side_wins, side_draws, side_losses = (int((home & (result == r)).sum()) for r in (1, 0, -1))
         steps = int(games.decisions[2 * i * self.each : (2 * i + 2) * self.each].sum())
         return Match(
-            self.league, self.key, a.digest, b.digest, *outcomes, int((~ok).sum()), *sides, pairs, seed, steps,
+            self.league, self.key, a.digest, b.digest, wins, draws, losses, int((~ok).sum()),
+            side_wins, side_draws, side_losses, pairs, seed, steps,
             recording=recording,
         )  # fmt: skip
 

@@ -74,7 +74,7 @@ class Lineup:
 
 
 def present_groups(opponents: Opponents, drawn: int) -> int:
-    """Groups against present opponents beside `drawn` groups against past ones, so that the latter are a share `past`."""
+    """Groups against present opponents beside `drawn` against past ones, so that the latter are a share `past`."""
     if drawn == 0:
         return 1
     return round(drawn * (1 - opponents.past) / opponents.past)

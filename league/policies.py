@@ -39,7 +39,7 @@ def add_scripts(store: Store, league: str, arena: Arena, names: Sequence[str]) -
         check_scripts(arena, name)
         for roster, team in rosters.items():
             digest = store.blobs.put(json.dumps({"script": name, "roster": roster}, sort_keys=True).encode())
-            title = f"script:{name}" if len(rosters) == 1 else f"script:{name}:{team}"
+            title = name if len(rosters) == 1 else f"{name}:{team}"
             snapshots.append(Snapshot(digest, league, title, roster, script=name))
     store.add_snapshots(snapshots)
 

@@ -99,10 +99,11 @@ class Trainer:
             checkpoints.append(Checkpoint(player.league, player.name, digest, c.steps, c.iteration, c.seconds))
             if self._snapshot_due(store, player):
                 actors = [{k: v.cpu().numpy() for k, v in actor.items()} for actor in learner.policies()]
-                where = dict(step=c.steps, iteration=c.iteration, seconds=c.seconds)
-                name = f"{player.name}@{c.iteration}"
+                frozen, name = store.blobs.put(freeze(actors)), f"{player.name}@{c.iteration}"
                 snapshots.append(
-                    Snapshot(store.blobs.put(freeze(actors)), player.league, name, player.roster, player.name, **where)
+                    Snapshot(
+                        frozen, player.league, name, player.roster, player.name, None, c.steps, c.iteration, c.seconds
+                    )
                 )
             self._at[team] = digest
         store.finish(lease, checkpoints=checkpoints, snapshots=snapshots)

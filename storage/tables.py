@@ -249,7 +249,7 @@ def open_database(url: sa.URL, create: bool) -> sa.Engine:
             if found is None:
                 found = _schema(engine, where)
             if found == 0 and not create:
-                raise NotAStore(f"No league store at {where}: `league init` or `league run` creates one.")
+                raise NotAStore(f"No league store at {where}: `league run` makes one.")
             if found > newest_schema():
                 raise NewerStore(where, found, newest_schema())
             if found < newest_schema():
@@ -295,7 +295,7 @@ def _look_at_file(url: sa.URL, create: bool) -> int:
     try:
         if not path.exists():
             if not create:
-                raise NotAStore(f"No league store at {where}: `league init` or `league run` creates one.")
+                raise NotAStore(f"No league store at {where}: `league run` makes one.")
             path.parent.mkdir(parents=True, exist_ok=True)
             return 0
         if path.is_dir():

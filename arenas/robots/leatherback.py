@@ -1,16 +1,16 @@
 """Leatherback: NVIDIA's four-wheel rover on the scale of an F1TENTH car.
 
-| quantity              | value                    | source                                                          |
-|-----------------------|--------------------------|-----------------------------------------------------------------|
-| wheel radius          | 0.052 m                  | NVIDIA Isaac Sim tutorial "ROS 2 Ackermann" for Leatherback     |
-| wheelbase, track      | 0.32 m, 0.24 m           | same                                                            |
-| steering range        | ±0.75 rad                | HARL-A's environments (the tutorial: ±0.785)                    |
-| mass                  | 3.8 kg                   | assumed, as F1TENTH: 3.74 kg (f1tenth_gym)                      |
-| chassis               | 0.50 × 0.31 × 0.09 m     | assumed: covers the wheels, so that rovers meet box to box      |
-| centre of mass        | about 0.07 m high        | assumed, as F1TENTH: 0.074 m                                    |
-| wheel drive           | velocity servo 0.05 N·m·s/rad, at most ±0.9 N·m | chosen: a driven wheel must out-torque a passive one |
-| steering drive        | position servo 5 N·m/rad, 0.3 N·m·s/rad | chosen: settles within a control step or two       |
-| tyre, chassis friction| 1.0, 0.3                 | f1tenth_gym 1.05; the chassis chosen low, so that rovers slide off each other |
+| quantity              | value                    | source                                                       |
+|-----------------------|--------------------------|--------------------------------------------------------------|
+| wheel radius          | 0.052 m                  | NVIDIA Isaac Sim tutorial "ROS 2 Ackermann" for Leatherback  |
+| wheelbase, track      | 0.32 m, 0.24 m           | same                                                         |
+| steering range        | ±0.75 rad                | HARL-A's environments (the tutorial: ±0.785)                 |
+| mass                  | 3.8 kg                   | assumed, as F1TENTH: 3.74 kg (f1tenth_gym)                   |
+| chassis               | 0.50 × 0.31 × 0.09 m     | assumed: covers the wheels, so that rovers meet box to box   |
+| centre of mass        | about 0.07 m high        | assumed, as F1TENTH: 0.074 m                                 |
+| wheel drive, velocity | 0.05 N·m·s/rad, ±0.9 N·m | chosen: a driven wheel must out-torque a passive one         |
+| steering, position    | 5 N·m/rad, 0.3 N·m·s/rad | chosen: settles within a control step or two                 |
+| tyre, chassis friction| 1.0, 0.3                 | f1tenth_gym 1.05; chosen low: rovers slide off each other    |
 
 HARL-A drives the wheels kinematically (damping 1e5); there noses rise in a head-on push, and a push is decided by mass
 alone. The finite torque above leaves the outcome to the driving. Wheels are spheres because every engine has the pair

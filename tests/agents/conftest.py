@@ -1,0 +1,74 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+import torch
+
+import arenas
+from agents.happo import Batch, Learner
+from agents.networks import Actor, Architecture
+from arenas.arena import Arena
+from arenas.sumo import SumoRules
+
+
+def scrambled_actor(seed: int, architecture: Architecture, observations: int = 20, actions: int = 2) -> Actor:
+    """An actor whose every number counts: no zero bias, no unit scale, observation statistics of their own."""
+    actor = Actor(observations, actions, architecture, initial_std=0.8)
+    rng = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for tensor in actor.parameters():
+            tensor += 0.3 * torch.randn(tensor.shape, generator=rng)
+        actor.trunk.observation_mean += torch.randn(observations, generator=rng)
+        actor.trunk.observation_var += torch.rand(observations, generator=rng)
+    return actor
+
+
+def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float = 0.0) -> Batch:
+    """Random experience whose actions come from the learner's actors; stale by up to 30 % in density."""
+    rng = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=rng)
+
+    observations = [normal(T, N, actor.trunk.observation_mean.numel()) for actor in learner.actors]
+    following = [normal(*o.shape) for o in observations]
+    with torch.no_grad():
+        policies = [actor(o) for actor, o in zip(learner.actors, observations, strict=True)]
+        actions = [p.mean + p.stddev * normal(*p.mean.shape) for p in policies]
+        log_probs = [
+            p.log_prob(a).sum(-1) + 0.3 * (2 * torch.rand((T, N), generator=rng) - 1)
+            for p, a in zip(policies, actions, strict=True)
+        ]
+    ends = torch.rand((T, N), generator=rng)
+    kinds = (ends < 0.1, (ends > 0.1) & (ends < 0.2), ends > 1 - void)  # terminated, truncated, void
+    return Batch(observations, following, actions, log_probs, normal(T, N) + 2.0, *kinds)
+
+
+@pytest.fixture(scope="session")
+def scramble() -> Callable[..., Actor]:
+    return scrambled_actor
+
+
+@pytest.fixture(scope="session")
+def experience() -> Callable[..., Batch]:
+    return make_batch
+
+
+@pytest.fixture(scope="session")
+def short_sumo() -> Arena:
+    """1v1 on the C engine with episodes of 20 decisions at most, whose ring shrinks at once."""
+    rules = SumoRules(ring=(1.2, 1.8), episode=2.0, shrink_after=0.2)
+    return replace(arenas.settings("sumo-1v1"), rules=rules).build(engine="c", threads=2)
+
+
+@pytest.fixture
+def same() -> Callable[[object, object], bool]:
+    """Whether two trees of arrays agree bit for bit."""
+
+    def compare(a: object, b: object) -> bool:
+        equal = jax.tree.map(lambda x, y: bool(np.array_equal(x, y)), a, b)
+        return all(jax.tree.leaves(equal))
+
+    return compare

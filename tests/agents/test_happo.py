@@ -1,0 +1,255 @@
+"""HAPPO against the paper's formulas, written here a second time. Batches use γ = 0, so that A = r − V(s)."""
+
+import copy
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from agents.happo import HappoConfig, Learner
+from agents.networks import Architecture
+from storage import arrays
+
+SMALL = Architecture((5,))
+PLAIN = HappoConfig(
+    SMALL, lr=0.02, critic_lr=0.05, gamma=0.0, entropy=0.01, epochs=3, minibatches=1, max_grad_norm=0.02,
+    fixed_order=True, value_norm=False,
+)  # fmt: skip
+
+
+def new_learner(agents: int, config: HappoConfig = PLAIN, seed: int = 0) -> Learner:
+    return Learner([4, 3, 5][:agents], [2, 1, 3][:agents], config, seed)
+
+
+def log_density(actor: torch.nn.Module, obs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    """log N(a; μ, σ) and the entropy ½ log(2πe σ²), summed over the action's numbers."""
+    std = torch.sigmoid(actor.std_logit) * actor.std_scale
+    z = (actions - actor.mean(actor.trunk(obs))) / std
+    log_probs = (-z * z / 2 - std.log() - math.log(2 * math.pi) / 2).sum(-1)
+    return log_probs, (0.5 + math.log(2 * math.pi) / 2 + std.log()).sum()
+
+
+def adam_step(module: torch.nn.Module, optimizer: torch.optim.Adam, loss: Tensor, max_norm: float) -> None:
+    optimizer.zero_grad()
+    loss.backward()
+    gradients = [p.grad for p in module.parameters() if p.grad is not None]
+    norm = math.sqrt(sum(float((g**2).sum()) for g in gradients))
+    assert norm > max_norm  # else the clip of gradients would go untested
+    for g in gradients:
+        g *= max_norm / norm
+    optimizer.step()
+
+
+def ppo(actor: torch.nn.Module, obs: Tensor, actions: Tensor, old: Tensor, A: Tensor, c: HappoConfig) -> float:
+    """PPO (Schulman et al., 2017, eq. 7) on the whole batch; returns the share of clipped ratios."""
+    optimizer = torch.optim.Adam(actor.parameters(), c.lr, eps=1e-5)
+    clipped = 0.0
+    for _ in range(c.epochs):
+        log_probs, entropy = log_density(actor, obs, actions)
+        r = (log_probs - old).exp()
+        bound = torch.where(A > 0, torch.full_like(A, 1 + c.clip), torch.full_like(A, 1 - c.clip))
+        gain = torch.where(A > 0, torch.minimum(r, bound), torch.maximum(r, bound)) * A
+        adam_step(actor, optimizer, -gain.mean() - c.entropy * entropy, c.max_grad_norm)
+        clipped = float((gain != r * A).float().mean())
+    return clipped
+
+
+def standardised_advantage(learner: Learner, batch) -> Tensor:
+    with torch.no_grad():
+        A = (batch.rewards - learner.critic(torch.cat(list(batch.observations), -1))).flatten()
+    return (A - A.mean()) / (A.std(correction=0) + 1e-5)
+
+
+def worst_gap(a: torch.nn.Module, b: torch.nn.Module) -> float:
+    return max(float((x - y).detach().abs().max()) for x, y in zip(a.parameters(), b.parameters(), strict=True))
+
+
+def test_with_one_agent_happo_is_ppo(experience):
+    learner = new_learner(1)
+    batch = experience(learner, seed=1)
+    actor = copy.deepcopy(learner.actors[0])
+    flat = [x[0].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)]
+    clipped = ppo(actor, *flat, standardised_advantage(learner, batch), PLAIN)
+    before = copy.deepcopy(learner.actors[0])
+    learner.update(batch)
+    assert 0.1 < clipped < 0.9
+    assert worst_gap(actor, learner.actors[0]) < 1e-6
+    assert worst_gap(before, learner.actors[0]) > 1e-2
+
+
+def test_each_agent_learns_from_the_advantage_times_the_ratios_of_those_before_it(experience):
+    learner = new_learner(3)
+    batch = experience(learner, seed=2)
+    expected, without_M = ([copy.deepcopy(a) for a in learner.actors] for _ in range(2))
+    A = standardised_advantage(learner, batch)
+    M = torch.ones_like(A)
+    spread = []
+    for i, actor in enumerate(expected):
+        obs, actions, old = (x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs))
+        before = log_density(actor, obs, actions)[0].detach()
+        ppo(actor, obs, actions, old, M * A, PLAIN)
+        ppo(without_M[i], obs, actions, old, A, PLAIN)
+        M = M * (log_density(actor, obs, actions)[0].detach() - before).exp()
+        spread.append(float(M.std()))
+    learner.update(batch)
+    assert spread[0] > 0.05  # M is not 1 by the time it matters
+    for i in range(3):
+        assert worst_gap(expected[i], learner.actors[i]) < 1e-6
+    assert worst_gap(without_M[1], learner.actors[1]) > 1e-4
+    assert worst_gap(without_M[2], learner.actors[2]) > 1e-4
+
+
+def test_the_team_moves_in_a_fresh_order_each_time_unless_it_is_fixed(experience):
+    def first_movers(config: HappoConfig) -> set[int]:
+        """Who moved first, in 12 updates: the agent whose update is what it would be alone, without M."""
+        movers = set()
+        for seed in range(12):
+            learner = new_learner(2, config, seed)
+            batch = experience(learner, seed=2)
+            alone = [copy.deepcopy(a) for a in learner.actors]
+            A = standardised_advantage(learner, batch)
+            for i, actor in enumerate(alone):
+                flat = [x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)]
+                ppo(actor, *flat, A, config)
+            learner.update(batch)
+            movers |= {i for i in range(2) if worst_gap(alone[i], learner.actors[i]) < 1e-6}
+        return movers
+
+    assert first_movers(PLAIN) == {0}
+    assert first_movers(replace(PLAIN, fixed_order=False)) == {0, 1}
+
+
+@pytest.mark.parametrize("value_norm", [False, True])
+def test_the_value_loss_is_clipped_and_huber(value_norm, experience):
+    config = replace(PLAIN, value_norm=value_norm, huber_delta=0.5, clip=0.05)
+    learner = new_learner(2, config)
+    batch = experience(learner, seed=3)
+    critic = copy.deepcopy(learner.critic)
+    team = torch.cat(list(batch.observations), -1).flatten(0, 1)
+    R = batch.rewards.flatten()  # γ = 0
+    target = (R - R.mean()) / R.std(correction=0) if value_norm else R
+    old = critic(team).detach()
+    optimizer = torch.optim.Adam(critic.parameters(), config.critic_lr, eps=1e-5)
+    moved = linear = square = 0
+
+    def huber(error: Tensor) -> Tensor:
+        size = error.abs()
+        return torch.where(size <= 0.5, size**2 / 2, 0.5 * (size - 0.25))
+
+    for _ in range(config.epochs):
+        value = critic(team)
+        kept = torch.maximum(torch.minimum(value, old + 0.05), old - 0.05)
+        adam_step(
+            critic, optimizer, torch.maximum(huber(target - value), huber(target - kept)).mean(), config.max_grad_norm
+        )
+        moved = int((kept != value).sum())
+        linear, square = int(((target - value).abs() > 0.5).sum()), int(((target - value).abs() < 0.5).sum())
+    learner.update(batch)
+    assert min(moved, linear, square) > 0  # every branch of the formula was taken
+    assert worst_gap(critic, learner.critic) < 1e-5
+    assert worst_gap(new_learner(2).critic, learner.critic) > 1e-2
+
+
+FULL = replace(
+    PLAIN, gamma=0.97, epochs=2, minibatches=3, fixed_order=False, value_norm=True, normalise_observations=True
+)
+
+
+def test_what_a_void_decision_holds_changes_nothing(experience, same):
+    states = []
+    for garbage in (None, 1e3, math.nan):
+        learner = new_learner(2, FULL)
+        batch = experience(learner, seed=4, void=0.2)
+        assert 3 < int(batch.void.sum()) < 20
+        if garbage is not None:
+            for tensor in (*batch.next_observations, *batch.actions, *batch.log_probs, batch.rewards):
+                tensor[batch.void] = garbage
+            for tensor in batch.observations:
+                tensor[batch.void] *= garbage
+        learner.update(batch)
+        states.append(learner.state())
+    assert same(states[0], states[1])
+    assert same(states[0], states[2])
+    assert all(np.isfinite(array).all() for array in states[0].values())
+
+
+def test_nothing_but_void_decisions_is_no_update(experience, same):
+    learner = new_learner(2, FULL)
+    before = learner.state()
+    batch = experience(learner, seed=4)
+    assert learner.update(batch._replace(void=torch.ones_like(batch.void))) == {}
+    assert same(before, learner.state())
+
+
+def test_observation_statistics_are_those_of_all_that_was_seen(experience):
+    learner = new_learner(2, FULL)
+    batches = [experience(learner, seed=s, N=n) for s, n in ((5, 3), (6, 8))]
+    batches[1].observations[0].mul_(3.0).add_(5.0)
+    for batch in batches:
+        learner.update(batch)
+    seen = [torch.cat([b.observations[i].flatten(0, 1) for b in batches]) for i in range(2)]
+    trunks = [*(actor.trunk for actor in learner.actors), learner.critic.trunk]
+    for trunk, obs in zip(trunks, [*seen, torch.cat(seen, -1)], strict=True):
+        torch.testing.assert_close(trunk.observation_mean, obs.mean(0), atol=1e-4, rtol=1e-5)
+        torch.testing.assert_close(trunk.observation_var, obs.var(0, correction=0), atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("updates", [0, 2])
+def test_going_on_from_a_checkpoint_is_going_on(updates, experience, same):
+    learner = new_learner(2, FULL)
+    first = [experience(learner, seed=s) for s in range(updates)]
+    for batch in first:
+        learner.update(batch)
+    checkpoint = arrays.to_bytes(learner.state())
+    then = experience(learner, seed=9)
+    diagnostics = learner.update(then)
+
+    resumed = new_learner(2, FULL, seed=123)
+    assert not same(resumed.state(), arrays.from_bytes(checkpoint))
+    resumed.load(arrays.from_bytes(checkpoint))
+    assert same(resumed.state(), arrays.from_bytes(checkpoint))
+    assert resumed.update(then) == diagnostics
+    assert same(resumed.state(), learner.state())
+
+
+def test_a_state_is_a_copy(experience):
+    learner = new_learner(1, FULL)
+    state = learner.state()
+    before = {name: array.copy() for name, array in state.items()}
+    learner.update(experience(learner, seed=1))
+    for name, array in state.items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda s: s.pop("critic.value.weight"), r"critic\.value\.weight \(1 in all\)"),
+        (lambda s: s.pop("rng"), r"rng \(1 in all\)"),
+        (lambda s: s.update({"actor.1.activation": np.int32(2)}), r"actor\.1\.activation \(1 in all\)"),
+        (
+            lambda s: s.update(new_learner(2, replace(PLAIN, architecture=Architecture((6,)))).state()),
+            "hidden.0.weight",
+        ),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_refused_whole(spoil, named, same):
+    learner, state = new_learner(2, seed=1), new_learner(2, seed=2).state()
+    before = learner.state()
+    spoil(state)
+    with pytest.raises(ValueError, match=named):
+        learner.load(state)
+    assert same(before, learner.state())
+
+
+def test_learners_are_made_from_their_own_seed_alone(same):
+    torch.manual_seed(1)
+    following = torch.rand(3)
+    torch.manual_seed(1)
+    learner = new_learner(2, seed=7)
+    assert torch.equal(torch.rand(3), following)
+    assert same(learner.state(), new_learner(2, seed=7).state())
+    assert not same(learner.state(), new_learner(2, seed=8).state())
