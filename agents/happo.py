@@ -113,7 +113,7 @@ class Learner:
         A_hat = (A - A.mean()) / (A.std(correction=0) + 1e-5)
 
         M = torch.ones_like(A)  # the ratios of the agents that have already moved, (B,)
-        stats: dict[str, list[float]] = {}
+        stats: dict[str, list[Tensor]] = {}
         for i in self._order():
             obs, actions = batch.observations[i][valid], batch.actions[i][valid]
             before = self._log_probs(i, obs, actions)
@@ -123,8 +123,8 @@ class Learner:
         if c.normalise_observations:
             self._observe([o[valid] for o in batch.observations])
         spread = returns.var(correction=0).clamp(min=1e-8)
-        stats["explained_variance"] = [float(1 - (returns - values).var(correction=0) / spread)]
-        return {name: float(np.mean(x)) for name, x in stats.items()}
+        stats["explained_variance"] = [1 - (returns - values).var(correction=0) / spread]
+        return {name: float(torch.stack(x).mean()) for name, x in stats.items()}
 
     @torch.no_grad()
     def _log_probs(self, i: int, obs: Tensor, actions: Tensor) -> Tensor:
@@ -138,7 +138,7 @@ class Learner:
         actions: Tensor,
         old: Tensor,
         MA: Tensor,
-        stats: dict[str, list[float]],
+        stats: dict[str, list[Tensor]],
     ) -> None:
         """Clipped surrogate of PPO on M·Â, an entropy bonus, `epochs` × `minibatches` steps of Adam."""
         c, actor = self.config, self.actors[i]
@@ -151,7 +151,7 @@ class Learner:
             self._step(self.actor_optimizers[i], actor, loss)
             _note(stats, policy_loss=loss, entropy=entropy, ratio=ratio.mean())
 
-    def _update_critic(self, team: Tensor, old: Tensor, returns: Tensor, stats: dict[str, list[float]]) -> None:
+    def _update_critic(self, team: Tensor, old: Tensor, returns: Tensor, stats: dict[str, list[Tensor]]) -> None:
         """Clipped value loss under Huber, on returns that the normaliser has just seen."""
         c = self.config
         for rows in self._minibatches(len(team)):
@@ -257,6 +257,7 @@ def _adam(module: nn.Module, lr: float) -> torch.optim.Adam:
     return optimizer
 
 
-def _note(stats: dict[str, list[float]], **values: Tensor) -> None:
+def _note(stats: dict[str, list[Tensor]], **values: Tensor) -> None:
+    """Keep values on the device: reading each one would make the GPU wait a hundred times an update."""
     for name, value in values.items():
-        stats.setdefault(name, []).append(float(value.detach()))
+        stats.setdefault(name, []).append(value.detach())

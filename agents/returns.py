@@ -55,10 +55,10 @@ class ValueNorm(nn.Module):
 
     def statistics(self) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation now; 0 and 1 before the first update."""
-        if self.weight == 0:
-            return torch.zeros_like(self.weight), torch.ones_like(self.weight)
-        mean = self.mean_sum / self.weight
-        return mean, torch.sqrt((self.square_sum / self.weight - mean**2).clamp(min=0.01))
+        weight = self.weight.clamp(min=1e-12)  # asking whether it is 0 would make the GPU wait
+        mean = self.mean_sum / weight
+        std = torch.sqrt((self.square_sum / weight - mean**2).clamp(min=0.01))
+        return mean, torch.where(self.weight > 0, std, 1.0)
 
     def normalise(self, returns: Tensor) -> Tensor:
         """Returns in the critic's units."""

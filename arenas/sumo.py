@@ -154,6 +154,7 @@ class Sumo(Arena):
         self._qpos = np.array([i.qpos for i in index])[:, None] + np.arange(7)
         self._qvel = np.array([i.qvel for i in index])[:, None] + np.arange(6)
         self._rest = jnp.asarray(self.scene.model.qpos0, jnp.float32)
+        self._order = _listing(settings.team_size)
 
     def observation_size(self, agent: str) -> int:
         """Numbers in an observation: own part and one part for every other robot."""
@@ -236,33 +237,25 @@ class Sumo(Arena):
         pose = self._pose(physics)
         radius = self.ring_radius(game, physics.time)
         margin = radius - jnp.linalg.norm(pose.xy, axis=1)
-        passed = physics.time / self.rules.episode
-        observations = {}
-        for me, agent in enumerate(self.agents):
-            turn = _rotation(-pose.heading[me])
-            own = [turn @ pose.velocity[me], pose.yaw_rate[me, None], turn @ -pose.xy[me] / radius]
-            own.append(jnp.stack([margin[me], radius, passed, pose.up[me]]))
-            own.append(actions[agent.name])
-            others = [self._other(pose, margin, turn, me, you) for you in self._order(me)]
-            observations[agent.name] = jnp.concatenate(own + others)
-        return observations
+        scene = jnp.stack([radius, physics.time / self.rules.episode])
+        own = [
+            _ahead(pose.heading, pose.velocity), pose.yaw_rate[:, None], _ahead(pose.heading, -pose.xy) / radius, margin[:, None],
+            jnp.broadcast_to(scene, (len(self.agents), 2)), pose.up[:, None],
+            jnp.stack([actions[agent.name] for agent in self.agents]),
+        ]  # fmt: skip
+        others = self._others(pose, margin)
+        table = jnp.concatenate([*own, others.reshape(len(self.agents), -1)], axis=1)  # (robots, obs)
+        return {agent.name: table[i] for i, agent in enumerate(self.agents)}
 
-    def _order(self, me: int) -> list[int]:
-        """The other robots as `me` lists them: team-mates, then enemies."""
-        n = self.team_size
-        team = me // n
-        mates = [i for i in range(team * n, team * n + n) if i != me]
-        return mates + list(range((1 - team) * n, (1 - team) * n + n))
-
-    def _other(self, pose: Pose, margin: Array, turn: Array, me: int, you: int) -> Array:
-        """Nine numbers about robot `you` in the heading frame of `me`."""
-        position = turn @ (pose.xy[you] - pose.xy[me])
-        bearing = position / jnp.maximum(jnp.linalg.norm(position), 1e-6)
-        angle = pose.heading[you] - pose.heading[me]
-        velocity = turn @ (pose.velocity[you] - pose.velocity[me])
-        return jnp.concatenate(
-            [position, bearing, jnp.stack([jnp.cos(angle), jnp.sin(angle)]), velocity, margin[you, None]]
-        )
+    def _others(self, pose: Pose, margin: Array) -> Array:
+        """Nine numbers (robots, others, 9) about each other robot, in each one's heading frame."""
+        you = self._order
+        position = _ahead(pose.heading, pose.xy[you] - pose.xy[:, None])
+        bearing = position / jnp.maximum(jnp.linalg.norm(position, axis=2, keepdims=True), 1e-6)
+        angle = pose.heading[you] - pose.heading[:, None]
+        velocity = _ahead(pose.heading, pose.velocity[you] - pose.velocity[:, None])
+        facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=2)
+        return jnp.concatenate([position, bearing, facing, velocity, margin[you][..., None]], axis=2)
 
     # Scripted opponents ----------------------------------------------------------------------------------------------
 
@@ -275,7 +268,7 @@ class Sumo(Arena):
         first = OWN + PER_OTHER * (self.team_size - 1)
         enemies = observation[first:].reshape(self.team_size, PER_OTHER)
         nearest = enemies[jnp.argmin(jnp.linalg.norm(enemies[:, :2], axis=1))]
-        return _drive_towards(nearest[2:4], jnp.asarray(0.9))
+        return _drive_towards(nearest[:2], jnp.asarray(0.9), observation[9])
 
 
 def _idle(observation: Array, key: Array) -> Array:
@@ -292,19 +285,22 @@ def _centre_holder(observation: Array, key: Array) -> Array:
     """Drive to the centre of the ring and stay there: slower the nearer, so that the tyres keep their grip."""
     to_centre = observation[3:5] * observation[6]  # m
     distance = jnp.linalg.norm(to_centre)
-    return _drive_towards(to_centre / jnp.maximum(distance, 1e-6), jnp.clip(distance, 0.0, 0.6))
+    return _drive_towards(to_centre, jnp.clip(distance, 0.0, 0.6), observation[9])
 
 
-def _drive_towards(bearing: Array, speed: Array) -> Array:
-    """Throttle and steering that bring a rover along a unit bearing (2,), in reverse where it lies well behind.
+def _drive_towards(position: Array, speed: Array, last_throttle: Array) -> Array:
+    """Throttle and steering that bring a rover to a position (2,) in its heading frame, in reverse if it lies behind.
 
-    Reversing from the side on would only rock to and fro: what lies beside is met by a turn forwards until it is more
-    than 107° off, and the rear swings onto it from there. In reverse, the angle that brings the rear onto a bearing has
-    the sign of the angle that brings the nose onto its mirror image in front.
+    In reverse, the angle that brings the rear onto a position has the sign of the angle that brings the nose onto its
+    mirror image in front. A rover only circles round what lies inside its turning circle: it first draws away with the
+    wheels turned the other way, as in a three-point turn, until the position is well outside the circle.
     """
-    forwards = jnp.where(bearing[0] > -0.3, 1.0, -1.0)
-    steering = jnp.clip(2.0 * jnp.arctan2(bearing[1], jnp.abs(bearing[0])), -1.0, 1.0)
-    return jnp.stack([forwards * speed, steering])
+    x, y = position
+    towards = jnp.where(x > -0.3 * jnp.linalg.norm(position), 1.0, -1.0)
+    circle = jnp.where(last_throttle * towards < 0, 0.8, 0.5)  # m, its radius; larger while drawing away
+    away = jnp.where(jnp.hypot(x, jnp.abs(y) - circle) < circle, -1.0, 1.0)
+    steering = jnp.clip(2.0 * jnp.arctan2(y, jnp.abs(x)), -1.0, 1.0)
+    return jnp.stack([away * towards * speed, away * steering])
 
 
 def _pitch(team_size: int) -> float:
@@ -318,9 +314,18 @@ def _nearest_enemy(xy: Array, team_size: int) -> Array:
     return jnp.concatenate([gap.min(axis=1), gap.min(axis=0)])
 
 
-def _rotation(angle: Array) -> Array:
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.array([[c, -s], [s, c]])
+def _listing(team_size: int) -> np.ndarray:
+    """The other robots (robots, others) as each one lists them: team-mates, then enemies."""
+    robots = np.arange(2 * team_size)
+    rows = [sorted(np.delete(robots, me), key=lambda you: you // team_size != me // team_size) for me in robots]
+    return np.array(rows)
+
+
+def _ahead(heading: Array, vectors: Array) -> Array:
+    """World vectors (robots, ..., 2) in each robot's heading frame: ahead, left. No matrix product: GPUs round those."""
+    angle = heading.reshape(-1, *[1] * (vectors.ndim - 2))
+    c, s, x, y = jnp.cos(angle), jnp.sin(angle), vectors[..., 0], vectors[..., 1]
+    return jnp.stack([c * x + s * y, c * y - s * x], axis=-1)
 
 
 ARENAS = (

@@ -63,11 +63,12 @@ class Manager:
         """Manage until done or stopped; `tell` is called about once a second. Raises DaemonError if it cannot go on."""
         handlers = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
         started, told = self.store.now(), 0.0
+        standing: Standing | None = None
         self._requeue_failed()
         try:
             while True:
                 self._keep_workers()
-                standing = Standing.of(self.store, self.config.league)
+                standing = Standing.of(self.store, self.config.league, standing.matches if standing else ())
                 self._check_failures(standing)
                 self.phase = self._plan(standing)
                 if self.stopping or self.store.stop_asked(self.config.league, started):

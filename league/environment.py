@@ -10,6 +10,8 @@ def prepare() -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # workers, torch and Warp share the GPU
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache / "jax"))
     os.environ.setdefault("WARP_CACHE_PATH", str(cache / "warp"))
+    # OpenMP threads that spin while they wait take the core from the process that they wait for.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # Two BLAS threads spin against each other on matrices as small as those of the ratings.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

@@ -26,17 +26,19 @@ class Standing:
 
     players: Sequence[Player]
     snapshots: Sequence[Snapshot]
-    checkpoints: Sequence[Checkpoint]
+    checkpoints: Sequence[Checkpoint]  # the newest of each player
     matches: Sequence[Match]
-    jobs: Sequence[Job]
+    jobs: Sequence[Job]  # that wait, are worked on or have failed
+    batches: int = 0  # of rating matches that were ever queued
 
     @classmethod
-    def of(cls, store: Store, league: str) -> "Standing":
-        """Read it."""
-        return cls(
-            store.players(league), store.snapshots(league), store.checkpoints(league),
-            store.matches(league, "rating"), store.jobs(league),
-        )  # fmt: skip
+    def of(cls, store: Store, league: str, known: Sequence[Match] = ()) -> "Standing":
+        """Read it; of the match log only what came after the matches that are `known`."""
+        players = store.players(league)
+        newest = [checkpoint for p in players if (checkpoint := store.checkpoint(league, p.name))]
+        log = [*known, *store.matches(league, "rating", after=known[-1].id if known else 0)]
+        jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
+        return cls(players, store.snapshots(league), newest, log, jobs, store.count_jobs(league, MATCH))
 
     @property
     def newest(self) -> Checkpoint | None:
@@ -144,9 +146,8 @@ def next_matches(config: Config, standing: Standing) -> list[Job]:
         first = {s.digest: [initial(standing, s).digest] for s in newest_snapshots(standing)}
         everyone = [s.digest for s in standing.snapshots]
         plan = pairings(payoff, everyone, quota=rating.quota, per_batch=room, always=first, may_meet=may_meet)
-    done = sum(job.kind == MATCH for job in standing.jobs)
     batches = [plan[i : i + rating.pairings] for i in range(0, len(plan), rating.pairings)]
-    return [_match(config, done + i, batch) for i, batch in enumerate(batches)]
+    return [_match(config, standing.batches + i, batch) for i, batch in enumerate(batches)]
 
 
 def newest_snapshots(standing: Standing) -> list[Snapshot]:

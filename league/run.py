@@ -55,6 +55,11 @@ def run(args: list[str]) -> int:
         RunOptions, args, "run", "Run a league: train, play rating matches, go on where it stopped.", default
     )
     check(options.config)
+    if options.duration is not None:
+        try:
+            seconds(options.duration)
+        except ValueError as error:
+            raise ConfigError(("for",), f"--for: {error}") from None
     if options.detach:
         return _detach(args, options)
     with Store.open(options.store, create=True) as store:
@@ -140,10 +145,7 @@ def _with_budget(store: Store, options: RunOptions, stored: bool) -> Config:
     newest = Standing.of(store, config.league).newest
     done = (newest.seconds, newest.step) if newest else (0.0, 0)
     if options.duration is not None or options.steps is not None:
-        try:
-            train = None if options.duration is None else f"{done[0] + seconds(options.duration):.3f}s"
-        except ValueError as error:
-            raise ConfigError(("for",), f"--for: {error}") from None
+        train = None if options.duration is None else f"{done[0] + seconds(options.duration):.3f}s"
         steps = None if options.steps is None else done[1] + options.steps
         return replace(config, budget=Budget(train, steps, config.budget.rate or "3m"))
     if stored and trained_enough(config, Standing.of(store, config.league)):

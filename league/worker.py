@@ -56,14 +56,15 @@ class Worker:
         """Claim and work until told to stop."""
         beating = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
         beating.start()
+        idle_since = time.monotonic()
         try:
             while not self.stopping.is_set():
                 claimed = self.store.claim(self.config.league, self.kinds, self.id, self.config.workers.lease)
-                if claimed is None:
-                    self.status = {"doing": "waiting"}
-                    self.stopping.wait(IDLE)
-                else:
+                if claimed is not None:
                     self._do(*claimed)
+                    idle_since = time.monotonic()
+                elif not self.stopping.wait(IDLE) and time.monotonic() - idle_since > 2 * BEAT:
+                    self.status = {"doing": "waiting"}
         finally:
             self.stopping.set()
             beating.join(timeout=2 * BEAT)

@@ -165,9 +165,9 @@ class Store:
         c = t.checkpoints.c
         return self._records(Checkpoint, t.checkpoints, c.league == league, order=[c.id])
 
-    def matches(self, league: str, purpose: str | None = None) -> list[Match]:
-        """The league's match log in the order it was written, or the part of it played for one purpose."""
-        return list(map(t.match_from, self._match_rows(t.MATCH_COLUMNS, league, purpose)))
+    def matches(self, league: str, purpose: str | None = None, after: int = 0) -> list[Match]:
+        """The league's match log in the order it was written, or the part played for one purpose or after a match."""
+        return list(map(t.match_from, self._match_rows(t.MATCH_COLUMNS, league, purpose, after)))
 
     def match_columns(self, league: str, purpose: str | None = None) -> dict[str, "np.ndarray"]:
         """The same log as one array per column, shape (matches,): counts as integers, names and digests as text.
@@ -194,6 +194,11 @@ class Store:
         c = t.jobs.c
         chosen = [column == value for column, value in ((c.state, state), (c.kind, kind)) if value is not None]
         return self._records(Job, t.jobs, c.league == league, *chosen, order=[c.id])
+
+    def count_jobs(self, league: str, kind: str) -> int:
+        """How many jobs of a kind were ever queued."""
+        c = t.jobs.c
+        return self._rows(sa.select(sa.func.count()).where(c.league == league, c.kind == kind))[0][0]
 
     def claim(
         self,
@@ -343,9 +348,11 @@ class Store:
         query = sa.select(*t.columns(record, table)).where(*where).order_by(*order).limit(limit)
         return [record(*row) for row in self._rows(query)]
 
-    def _match_rows(self, columns: list[sa.Column[Any]], league: str, purpose: str | None) -> Sequence[Any]:
+    def _match_rows(
+        self, columns: list[sa.Column[Any]], league: str, purpose: str | None, after: int = 0
+    ) -> Sequence[Any]:
         c = t.matches.c
-        chosen = [c.purpose == purpose] if purpose is not None else []
+        chosen = [c.id > after] + ([c.purpose == purpose] if purpose is not None else [])
         return self._rows(sa.select(*columns).where(c.league == league, *chosen).order_by(c.id))
 
     def _set_league(self, name: str, **values: Any) -> None:

@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import jax
@@ -44,6 +44,15 @@ def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float 
     ends = torch.rand((T, N), generator=rng)
     kinds = (ends < 0.1, (ends > 0.1) & (ends < 0.2), ends > 1 - void)  # terminated, truncated, void
     return Batch(observations, following, actions, log_probs, normal(T, N) + 2.0, *kinds)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: on a shared machine, threads that spin while they wait keep others from their work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ def test_two_teams_learn_to_beat_what_they_were():
     rollout = make_rollout(arena, length=32)
 
     present = initial
-    for iteration in range(14):
+    for iteration in range(9):
         policies = {f"{team}/0": stack([policy]) for team, policy in zip(("blue", "red"), present, strict=True)}
         worlds, trajectory = rollout(policies, worlds, jax.random.key(iteration))
         for index, (learner, team) in enumerate(zip(learners, arena.teams, strict=True)):

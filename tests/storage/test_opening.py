@@ -35,7 +35,7 @@ def test_what_is_written_is_there_for_who_opens_it_next(place: tuple[str, str]):
 
 
 def test_nothing_there_is_told_with_the_remedy(place: tuple[str, str]):
-    with pytest.raises(NotAStore, match=r"No league store at .*`league run` creates one"):
+    with pytest.raises(NotAStore, match=r"No league store at .*`league run` makes one"):
         Store.open(place[0], blobs=place[1])
 
 
@@ -97,7 +97,7 @@ def test_something_else_is_left_as_it_is(tmp_path: Path, create: bool):
 
 def test_a_store_that_was_being_made_when_killed_is_made_anew(tmp_path: Path):
     (tmp_path / "league.db").touch()
-    with pytest.raises(NotAStore, match="creates one"):
+    with pytest.raises(NotAStore, match="makes one"):
         Store.open(tmp_path)
     with Store.open(tmp_path, create=True) as store:
         assert store.leagues() == []

@@ -1,0 +1,194 @@
+"""The commands as a user types them, against one league that was really trained, rated and recorded."""
+
+import csv
+import io
+import json
+import re
+import shlex
+
+import pytest
+
+import league
+from tests.league.conftest import ROOT, TINY, call
+
+
+def test_a_run_learns_rates_and_says_what_to_type_next(tiny_league):
+    _, printed = tiny_league
+    assert re.search(r"blue\+red learn · iteration \d+ · [\d,]+ steps · [\d,]+ steps/s", printed)
+    assert "blue@0" in printed
+    assert "league watch" in printed
+    assert "its own blue@0" in printed
+
+
+def test_ratings_say_the_same_in_every_format(tiny_league):
+    folder, _ = tiny_league
+    table = call("ratings", cwd=folder).stdout
+    rows = json.loads(call("ratings", "--format", "json", cwd=folder).stdout)
+    lines = list(csv.DictReader(io.StringIO(call("ratings", "--format", "csv", cwd=folder).stdout)))
+    assert [row["name"] for row in rows] == [line["name"] for line in lines]
+    assert all(row["name"] in table for row in rows)
+    rated = [row for row in rows if row["elo"] is not None]
+    assert rated == sorted(rated, key=lambda row: -row["elo"])
+    assert all(row["low"] < row["elo"] < row["high"] for row in rated if row["iteration"] != 0)
+    assert {"idle", "random", "pusher", "centre-holder"} <= {row["name"] for row in rows}
+
+
+def test_learning_shows_in_the_score_against_the_initial_snapshot(tiny_league):
+    folder, _ = tiny_league
+    with league.open(str(folder / "league-data")) as opened:
+        ratings = opened.ratings()
+        newest = ratings[ratings.player.notna()].sort_values("iteration").groupby("player").last()
+        assert newest.vs_initial.notna().all()
+        # 33,000 steps took the prototype past 0.9; a policy that learnt nothing scores a half.
+        assert (newest.vs_initial > 0.6).all()
+
+
+def test_the_match_log_adds_up(tiny_league):
+    folder, _ = tiny_league
+    with league.open(str(folder / "league-data")) as opened:
+        log = opened.store.matches(opened.league)
+        assert len(log) == len(opened.matches()) > 4
+    for match in log:
+        games = match.wins + match.draws + match.losses
+        assert games + match.voids == 32
+        assert 2 * sum(match.pairs) == games or match.voids
+        assert sum((match.side_wins, match.side_draws, match.side_losses)) == 16 or match.voids
+        assert match.recording is not None
+
+
+def test_snapshots_stand_on_a_logarithmic_axis(tiny_league):
+    folder, _ = tiny_league
+    with league.open(str(folder / "league-data")) as opened:
+        blue = [s for s in opened.store.snapshots(opened.league) if s.player == "blue"]
+        milestone = [s.iteration for s in blue if s.iteration not in (0, 1, 2, 4, 8, 16)]
+        assert {0, 1, 2, 4, 8, 16} <= {s.iteration for s in blue}
+        assert len(milestone) <= 1  # the first turn's end after one second of training
+        assert len({s.digest for s in blue}) == len(blue)
+
+
+def test_the_same_command_does_not_train_beyond_its_budget(tmp_path):
+    first = call("run", *TINY, "--budget.steps", "2048", "--budget.rate", "0s", cwd=tmp_path)
+    again = call("run", *TINY, "--budget.steps", "2048", "--rating.quota", "2", "--workers.match", "0", cwd=tmp_path)
+    assert first.returncode == again.returncode == 0, first.stderr + again.stderr
+    assert "has had its budget of 2,048 steps" in again.stdout
+
+
+def test_watch_writes_a_file_for_rerun_and_a_picture(tiny_league, tmp_path):
+    folder, _ = tiny_league
+    saved, shot = tmp_path / "match.rrd", tmp_path / "match.png"
+    done = call("watch", "--save", str(saved), "--shot", str(shot), cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert saved.stat().st_size > 10_000
+    from PIL import Image
+
+    pixels = Image.open(shot).convert("RGB").resize((320, 200)).get_flattened_data()
+    blue = sum(b > 110 and r < 90 and g < 140 for r, g, b in pixels)
+    red = sum(r > 110 and b < 90 and g < 90 for r, g, b in pixels)
+    assert blue > 10
+    assert red > 10
+
+
+def test_status_and_stop_of_a_league_that_does_not_run(tiny_league):
+    folder, _ = tiny_league
+    assert "0 failed" in call("status", cwd=folder).stdout
+    assert "is not running" in call("stop", cwd=folder).stdout
+
+
+def test_init_writes_a_file_that_run_accepts_and_never_overwrites(tmp_path):
+    assert call("init", cwd=tmp_path).returncode == 0
+    before = (tmp_path / "league.toml").read_bytes()
+    again = call("init", "--preset", "duel", cwd=tmp_path)
+    assert again.returncode == 2
+    assert (tmp_path / "league.toml").read_bytes() == before
+    helped = call("run", "league.toml", "--help", cwd=tmp_path)
+    assert helped.returncode == 0
+    assert "--learner.gamma" in helped.stdout
+
+
+def test_the_commands_of_the_readme_exist(tiny_league):
+    folder, _ = tiny_league
+    blocks = re.findall(r"^```(?:bash|sh|console)\n(.*?)^```", (ROOT / "README.md").read_text(), re.S | re.M)
+    lines = [line.split("#")[0].strip() for block in blocks for line in block.splitlines()]
+    commands = [shlex.split(line)[1:] for line in lines if line.startswith("league ")]
+    assert len(commands) >= 5
+    for args in commands:
+        done = call(args[0], "--help", cwd=folder)
+        assert done.returncode == 0, f"league {args[0]}: {done.stderr}"
+        for flag in (a for a in args if a.startswith("--")):
+            assert flag.split("=")[0] in done.stdout, f"README uses league {args[0]} {flag}"
+
+
+def test_the_python_example_of_the_readme_runs(tiny_league):
+    import subprocess
+    import sys
+
+    folder, _ = tiny_league
+    (example,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.S | re.M)
+    done = subprocess.run(
+        [sys.executable, "-c", example], cwd=folder, capture_output=True, text=True, timeout=240,
+        env={**__import__("os").environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("rating",), "did you mean ratings"),
+        (("run", "--preset", "quikstart"), "did you mean quickstart"),
+        (("run", "--arena.name", "sumo-2v3"), "did you mean sumo-2v2"),
+        (("run", "nowhere.toml"), "cannot read nowhere.toml"),
+        (("run", "--for", "soon"), '"soon" is not a duration'),
+        (("run", "--learner.gamma", "1.5"), "learner.gamma = 1.5: must be between 0"),
+        (("run", "bad.toml"), "bad.toml:2: learner.gamma = 1.5"),
+        (("run", "--training.wrlds", "9"), "--training.worlds"),
+        (("ratings", "--format", "xml"), "table"),
+        (("ratings", "--store", "nowhere"), "No league store"),
+        (("ratings", "--store", "text.db"), "text.db"),
+        (("ratings", "--store", "ftp://host/league"), "ftp"),
+        (("watch", "7"), "No league store"),
+        (("check", "sumo-9v9"), "unknown arena"),
+        (("check", "missing.py:duel"), "no arena file missing.py"),
+    ],
+)
+def test_bad_input_is_told_in_one_breath_and_leaves_nothing(args, says, tmp_path):
+    (tmp_path / "text.db").write_text("not a store")
+    (tmp_path / "bad.toml").write_text("[learner]\ngamma = 1.5\n")
+    done = call(*args, cwd=tmp_path)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.toml", "text.db"]
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("ratings", "--league", "tyni"), "Did you mean 'tiny'"),
+        (("watch", "999"), "There is no match 999"),
+        (("run", "--league", "tiny", "--arena.name", "sumo-2v2"), "is played in sumo-1v1"),
+    ],
+)
+def test_a_wrong_name_in_a_good_store(args, says, tiny_league):
+    folder, _ = tiny_league
+    done = call(*args, cwd=folder)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_damaged_recording_is_named(tiny_league, tmp_path):
+    import shutil
+
+    folder, _ = tiny_league
+    copy = tmp_path / "league-data"
+    shutil.copytree(folder / "league-data", copy)
+    with league.open(str(copy)) as opened:
+        match = opened.store.matches(opened.league)[0]
+    (blob,) = [p for p in (copy / "blobs").rglob("*") if p.is_file() and match.recording.endswith(p.name)]
+    blob.write_bytes(blob.read_bytes()[:-1] + b"x")
+    done = call("watch", str(match.id), "--save", "out.rrd", cwd=tmp_path)
+    assert done.returncode == 2
+    assert match.recording in done.stderr
+    assert not (tmp_path / "out.rrd").exists()

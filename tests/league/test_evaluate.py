@@ -1,0 +1,86 @@
+"""Seats, seeds and counting of a rating batch; the games here are invented so that each world tells who it is."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from agents.rollout import Games
+from arenas.arena import Frames
+from league import config as configuration
+from league.evaluate import Referee
+from league.policies import add_scripts
+from storage.records import ArenaKey, League, Match, PairCounts, Snapshot
+from storage.store import Store
+
+A, B, C = (Snapshot(d, "tiny", d, "leatherback:20:2") for d in "abc")
+
+
+@pytest.fixture(scope="module")
+def referee():
+    config = configuration.duel()
+    config = replace(config, rating=replace(config.rating, worlds=16, pairings=2, record=False))
+    return Referee(config, config.arena.build(engine="c", threads=1), "tiny")
+
+
+def games(scores: list[float], void: tuple[int, ...] = ()) -> Games:
+    """Games in which team 0 of each world scored as given."""
+    first = np.array(scores)
+    voids = np.isin(np.arange(len(first)), void)
+    return Games(np.stack([first, 1 - first], 1), voids, np.full(len(first), 7), Frames(*[np.zeros(0)] * 2, {}), {},
+                 np.zeros(0), np.zeros(0))  # fmt: skip
+
+
+def seats(referee: Referee, *pairs):
+    return [seating for a, b in pairs for seating in referee._seatings(a, b)]
+
+
+def test_sides_are_swapped_and_a_seed_pair_starts_and_rolls_alike(referee):
+    seating = seats(referee, (A, B), (C, A))
+    assert seating == [(A, B), (B, A), (C, A), (A, C)]
+    keys = np.asarray(jax.random.key_data(referee._keys(seating, seed=5))).reshape(4, 4, -1)
+    assert (keys[0] == keys[1]).all()
+    assert (keys[2] == keys[3]).all()
+    assert len(np.unique(keys[[0, 2]].reshape(8, -1), axis=0)) == 8
+
+
+def test_snapshots_of_unlike_rosters_keep_their_sides_and_are_no_seed_pairs(referee, monkeypatch):
+    teams = (referee.arena.teams[0], replace(referee.arena.teams[1], agents=referee.arena.teams[1].agents * 2))
+    monkeypatch.setattr(referee.arena, "teams", teams)
+    other = replace(B, roster=teams[1].roster)
+    assert referee._seatings(other, A) == [(A, other)] * 2
+    keys = np.asarray(jax.random.key_data(referee._keys([(A, other)] * 2, seed=5))).reshape(8, -1)
+    assert len(np.unique(keys, axis=0)) == 8
+    with pytest.raises(ValueError, match="cannot meet"):
+        referee._seatings(A, C)
+
+
+def test_counts_are_for_a_whatever_side_it_played(referee):
+    #            A at home        A away           the other pair
+    played = games([1, 1, 0.5, 0, 1, 0, 0.5, 0] + [0] * 8)
+    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), 5, None)
+    assert (match.wins, match.draws, match.losses, match.voids) == (4, 2, 2, 0)
+    assert (match.side_wins, match.side_draws, match.side_losses) == (2, 1, 1)
+    # pair by pair, A's two games: win and loss, win and win, draw and draw, loss and win
+    assert match.pairs == PairCounts(ll=0, ld=0, dd_wl=3, dw=0, ww=1)
+    assert match.steps == 8 * 7
+
+
+def test_a_void_game_counts_for_nobody_and_breaks_its_pair(referee):
+    played = games([1, 1, 1, 1, 0, 0, 0, 0] + [0] * 8, void=(0, 6))
+    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), 5, None)
+    assert (match.wins, match.losses, match.voids) == (6, 0, 2)
+    assert match.pairs == PairCounts(ww=2)
+
+
+def test_scripts_really_play_and_a_batch_with_one_pair_fills_all_its_places(referee, tmp_path):
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ArenaKey("sumo-1v1", "0", "c"), ""))
+        add_scripts(store, "tiny", referee.arena, ("idle", "centre-holder"))
+        pool = {s.name: s.digest for s in store.snapshots("tiny")}
+        matches = referee.play(store, [(pool["centre-holder"], pool["idle"])], seed=3)
+        assert [m.wins + m.draws + m.losses + m.voids for m in matches] == [8, 8]
+        assert sum(m.wins for m in matches) >= 14  # the ring shrinks until idle rovers stand outside
+        assert matches == referee.play(store, [(pool["centre-holder"], pool["idle"])], seed=3)
+        assert all(isinstance(m, Match) and m.arena == referee.key for m in matches)
