@@ -67,7 +67,7 @@ class Batch(NamedTuple):
 
 
 class Learner:
-    """A team that learns. Its whole state is `state()`, a dict of arrays, from which `load` goes on exactly."""
+    """A team that learns, on `device` auto, cpu or cuda. Its whole state is `state()`, from which `load` goes on."""
 
     def __init__(
         self,
@@ -78,6 +78,8 @@ class Learner:
         device: str = "cpu",
     ):
         self.config = config
+        if device == "auto":
+            device = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
         self.rng = torch.Generator().manual_seed(seed)
         with torch.random.fork_rng(devices=[]):  # nn.init draws from the global generator; leave that as it was

@@ -239,10 +239,14 @@ class Sumo(Arena):
         margin = radius - jnp.linalg.norm(pose.xy, axis=1)
         scene = jnp.stack([radius, physics.time / self.rules.episode])
         own = [
-            _ahead(pose.heading, pose.velocity), pose.yaw_rate[:, None], _ahead(pose.heading, -pose.xy) / radius, margin[:, None],
-            jnp.broadcast_to(scene, (len(self.agents), 2)), pose.up[:, None],
+            _ahead(pose.heading, pose.velocity),
+            pose.yaw_rate[:, None],
+            _ahead(pose.heading, -pose.xy) / radius,
+            margin[:, None],
+            jnp.broadcast_to(scene, (len(self.agents), 2)),
+            pose.up[:, None],
             jnp.stack([actions[agent.name] for agent in self.agents]),
-        ]  # fmt: skip
+        ]
         others = self._others(pose, margin)
         table = jnp.concatenate([*own, others.reshape(len(self.agents), -1)], axis=1)  # (robots, obs)
         return {agent.name: table[i] for i, agent in enumerate(self.agents)}
@@ -322,7 +326,10 @@ def _listing(team_size: int) -> np.ndarray:
 
 
 def _ahead(heading: Array, vectors: Array) -> Array:
-    """World vectors (robots, ..., 2) in each robot's heading frame: ahead, left. No matrix product: GPUs round those."""
+    """World vectors (robots, ..., 2) in each robot's heading frame: ahead, left.
+
+    No matrix product: by default GPUs round its factors to 10 bits.
+    """
     angle = heading.reshape(-1, *[1] * (vectors.ndim - 2))
     c, s, x, y = jnp.cos(angle), jnp.sin(angle), vectors[..., 0], vectors[..., 1]
     return jnp.stack([c * x + s * y, c * y - s * x], axis=-1)

@@ -31,7 +31,7 @@ from league.versions import versions  # noqa: E402
 from matchmaking.payoff import tally  # noqa: E402
 from storage.store import Store  # noqa: E402
 
-EPISODES = 512
+EPISODES = 256
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import math
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import arenas
 from agents.happo import HappoConfig
@@ -43,7 +43,7 @@ class Training:
     """Environment steps over which the dense reward fades from full weight to none (0: outcome only)."""
     snapshots_per_doubling: int = field(default=1, metadata={"low": 1, "high": 16})
     """A snapshot at iterations 1, 2, 4, 8, ...; more of them in between with 2 or more."""
-    device: str = "auto"
+    device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where torch learns: auto, cpu or cuda."""
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 import jax
-import torch
+import jax.numpy as jnp
 from jax import Array
 
 from agents.bridge import team_batch, to_jax
@@ -131,6 +131,9 @@ class Trainer:
         if shape not in self._compiled:
             policies = lineup.policies([to_jax(learner.policies()) for learner in self.learners])
             self._compiled[shape] = self._rollout.lower(policies, self.worlds, jax.random.key(0)).compile()
+            if self.arena.engine.name == "warp":  # its kernels are compiled and loaded when they first run
+                copy = jax.tree.map(jnp.copy, self.worlds)
+                jax.block_until_ready(self._compiled[shape](policies, copy, jax.random.key(0)))
         return self._compiled[shape]
 
     def _shaping(self) -> float:
@@ -163,7 +166,6 @@ def random_key(seed: int, purpose: str, number: int) -> Array:
 
 def _new_learner(config: Config, arena: Arena, team: int) -> Learner:
     agents = arena.teams[team].agents
-    wanted = config.training.device
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if wanted == "auto" else wanted
     seed = crc32(f"{config.seed}/{team}".encode())  # teams that start from the same bytes would share a snapshot
-    return Learner([a.observation_size for a in agents], [a.action_size for a in agents], config.learner, seed, device)
+    sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
+    return Learner(*sizes, config.learner, seed, config.training.device)

@@ -20,8 +20,12 @@ class Worlds:
     def __init__(self, arena: Sumo):
         self.arena = arena
         self.reset = jax.jit(jax.vmap(arena.reset))
-        self.step = jax.jit(jax.vmap(arena.step))
+        self.restart = jax.jit(jax.vmap(arena.restart))
+        self.step_with_frames = jax.jit(jax.vmap(arena.step_with_frames))
         self.place = jax.jit(jax.vmap(arena.engine.place))
+
+    def step(self, state: State, actions: dict[str, Array]) -> State:
+        return self.step_with_frames(state, actions)[0]
 
     def idle(self, worlds: int) -> dict[str, Array]:
         return {agent.name: jnp.zeros((worlds, agent.action_size)) for agent in self.arena.agents}

@@ -30,7 +30,6 @@ def test_arenas_keep_the_contract(name):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:Implicitly cleaning up <TemporaryDirectory:ResourceWarning")  # Warp's, at exit
 @pytest.mark.parametrize("engine", ["jax", "warp"])
 def test_arenas_keep_the_contract_on_accelerators(engine):
     assert broken("sumo-1v1", engine) == []
@@ -126,7 +125,7 @@ class Ghostly(Race):
 class Weighty(Race):
     def reset(self, key):
         state = super().reset(key)
-        return state._replace(void=state.void.astype(jnp.int32))
+        return state._replace(actions={name: a.astype(jnp.float16) for name, a in state.actions.items()})
 
 
 # arena, how the promise that it breaks begins, what is said of it
