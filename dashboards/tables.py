@@ -91,7 +91,8 @@ def _table(records: list[dict[str, Any]], columns: list[Column], title: str, wid
     for column, values in zip(columns, cells, strict=True):
         is_number = any(map(_is_number, values)) and all(v is None or _is_number(v) for v in values)
         justify = "right" if is_number else "left"
-        table.add_column(column.title or column.key, justify=justify, no_wrap=is_number or column.whole, overflow="fold")
+        whole = is_number or column.whole
+        table.add_column(column.title or column.key, justify=justify, no_wrap=whole, overflow="fold")
     texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
     for row in zip(*texts, strict=True):
         table.add_row(*row)
