@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -118,8 +118,8 @@ class CheckOptions:
 
     name: Annotated[str, tyro.conf.Positional]
     """An arena's name, or file.py:name for your own."""
-    engine: str = "auto"
-    """auto, c, jax or warp."""
+    engine: Literal["auto", "c", "jax", "warp"] = "auto"
+    """Physics to examine it with."""
 
 
 def check(args: list[str]) -> int:
@@ -128,7 +128,8 @@ def check(args: list[str]) -> int:
     from arenas import settings
     from arenas.check import check_arena
 
-    found = check_arena(settings(options.name).build(engine=options.engine, worlds=8))  # type: ignore[arg-type]
+    chosen = settings(options.name)
+    found = check_arena(chosen.build(engine=options.engine, worlds=8), chosen)
     for name, ok, detail in found:
         print(f"{'ok    ' if ok else 'FAILED'}  {name}{': ' + detail if detail else ''}")
     return 0 if all(ok for _, ok, _ in found) else 1

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 BEAT = 1.0  # seconds between two words of life
 IDLE = 0.1  # seconds between two looks for work
-NICE = 10  # a match worker gives way to the learner
+NICE = 19  # a match worker lives on what the learner leaves idle
 
 
 def work(where: str, config_text: str, kinds: tuple[str, ...], number: int) -> None:
@@ -33,8 +33,13 @@ def work(where: str, config_text: str, kinds: tuple[str, ...], number: int) -> N
     if kinds == ("match",):
         os.nice(NICE)
     environment.prepare()
+    import torch
+
     from league import config as configuration
 
+    # Learning takes turns with physics, whose threads it would wake and wait for: on two cores an update takes 0.39 s
+    # with one thread and 0.47 s with two, and the rollout after it 1.5 s instead of 1.9 s.
+    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
     config = configuration.loads(config_text)
     with Store.open(where) as store:
         Worker(store, config, kinds, number, stopping).run()
