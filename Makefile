@@ -21,7 +21,7 @@ check: $(STAMP)  ## Format, lint, types, layers.
 test: check  ## What must pass before a change is shared.
 	$(BIN)/pytest -m "not slow"
 
-test-slow: $(STAMP)  ## The tests that train.
+test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile.
 	$(BIN)/pytest -m slow
 
 clean:  ## Remove what make and the tools wrote; leagues stay.

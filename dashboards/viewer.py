@@ -230,7 +230,7 @@ def _markdown(recording: Recording) -> str:
     header = recording.header
     sides = zip(header.teams, header.sides, header.score, header.agents, strict=True)
     rows = [f"| {team} | {side} | {score:g} | {', '.join(agents)} |" for team, side, score, agents in sides]
-    where = f"**{header.arena.arena}**, league *{header.league}*, match {header.match}, world {header.world}"
+    where = f"**{header.arena.arena}**, league *{header.league}*, seed {header.seed}, world {header.world}"
     table = ["| team | player | score | agents |", "|---|---|---|---|", *rows]
     return "\n".join([f"# {header.outcome}", where, "", *table])
 

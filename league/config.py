@@ -96,6 +96,10 @@ class Budget:
         """Training time in seconds; infinite where it is not bounded."""
         return math.inf if self.train is None else seconds(self.train)
 
+    def spent(self, seconds: float, steps: int) -> bool:
+        """Whether so much training is all that was asked for."""
+        return seconds >= self.train_seconds or (self.steps is not None and steps >= self.steps)
+
     @property
     def rate_seconds(self) -> float:
         """Rating time in seconds; infinite where it is not bounded."""

@@ -92,28 +92,29 @@ class Referee:
             recording=recording,
         )  # fmt: skip
 
-    def _record(self, store: Store, games: Games, i: int, sides: tuple[Snapshot, Snapshot], seed: int) -> str | None:
-        """Put the pair's first episode into the blobs; None if it was void from its first step."""
+    def _record(self, store: Store, games: Games, i: int, sides: tuple[Snapshot, Snapshot], seed: int) -> str:
+        """Put the pair's first episode into the blobs, frame by frame to its end."""
         world, arena, hold = self.recorded[i], self.arena, self.arena.timing.hold
         decisions = int(games.decisions[world])
         frames = jax.tree.map(lambda x: x[:decisions, :, i].reshape(decisions * hold, *x.shape[3:]), games.frames)
         score = games.score[world]
         void = bool(games.void[world])
         names = [team.name for team in arena.teams]
-        winner = "void" if void else "draw" if score[0] == score[1] else f"win {names[int(np.argmax(score))]}"
+        first = int(np.argmax(score))
+        outcome = "void" if void else "draw" if score[0] == score[1] else f"{sides[first].name} wins as {names[first]}"
         rewards = np.zeros((decisions * hold, len(names)))
         rewards[hold - 1 :: hold] = games.reward[:decisions, i]
         header = RecordingHeader(
             self.league, 0, seed, world, self.key, tuple(s.name for s in sides), tuple(s.digest for s in sides),
             tuple(names), tuple(tuple(a.name for a in team.agents) for team in arena.teams),
-            tuple(float(s) for s in score), winner, arena.timing.control_interval, arena.marker_kinds, versions(),
+            tuple(float(s) for s in score), outcome, arena.timing.control_interval, arena.marker_kinds, versions(),
         )  # fmt: skip
         scores = np.zeros_like(rewards)
         scores[-1] = score
         recording = Recording(
             header, arena.scene.xml, frames.time, frames.qpos,
             {name: np.repeat(a[:decisions, i], hold, axis=0) for name, a in games.actions.items()},
-            rewards, scores, frames.markers, [(decisions * hold - 1, winner)],
+            rewards, scores, frames.markers, [(decisions * hold - 1, outcome)],
         )  # fmt: skip
         return store.blobs.put(to_bytes(recording))
 

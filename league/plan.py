@@ -61,10 +61,7 @@ class Standing:
 def trained_enough(config: Config, standing: Standing) -> bool:
     """Whether the training budget is spent."""
     newest = standing.newest
-    if newest is None:
-        return False
-    steps = config.budget.steps
-    return newest.seconds >= config.budget.train_seconds or (steps is not None and newest.step >= steps)
+    return newest is not None and config.budget.spent(newest.seconds, newest.step)
 
 
 def next_turn(config: Config, standing: Standing) -> Job | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from league import plan
 from league.config import Config
 from league.plan import Standing
-from league.query import rating_rows, score_text
+from league.query import rated, rating_rows, score_text
 from league.tables import ratings_table
 from storage.records import Snapshot, Worker
 
@@ -63,7 +63,7 @@ class Ticker:
         """Elo and score against initial of each player's newest rated snapshot; fitted again only after new matches."""
         if len(standing.matches) != self._matches:
             self._matches = len(standing.matches)
-            rows = {row["name"]: row for row in rating_rows(list(standing.snapshots), list(standing.matches))}
+            rows = {row["name"]: row for row in rating_rows(standing.snapshots, standing.matches)}
             parts = []
             for player in standing.players:
                 known = [s for s in standing.history(player.name) if rows[s.name]["elo"] is not None and s.iteration]
@@ -79,7 +79,18 @@ class Ticker:
 def summary(config: Config, standing: Standing) -> str:
     """The ratings table, each newest snapshot against its yardsticks, and the next things to type."""
     parts = [ratings_table(standing.snapshots, standing.matches), *_yardsticks(config, standing)]
-    return "\n\n".join([*parts, NEXT])
+    return "\n\n".join([*parts, *_who_is_better(standing), NEXT])
+
+
+def _who_is_better(standing: Standing) -> list[str]:
+    """How sure it is that one player's newest snapshot is stronger than another's."""
+    newest = plan.newest_snapshots(standing)
+    if len(newest) < 2 or not standing.matches:
+        return []
+    ratings = rated(standing.snapshots, standing.matches)
+    first, second, *_ = sorted(newest, key=lambda s: -ratings.elo[ratings.index(s.digest)])
+    sure = ratings.likelihood_of_superiority(first.digest, second.digest)
+    return [f"{first.name} is stronger than {second.name} with probability {100 * sure:.0f} %."]
 
 
 def _yardsticks(config: Config, standing: Standing) -> list[str]:

@@ -3,6 +3,7 @@
 Reads the store and nothing else: neither jax nor torch nor mujoco is loaded.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
 from matchmaking.payoff import Score, tally
@@ -64,20 +65,20 @@ def only_league(store: Store) -> str:
     return max(leagues, key=lambda league: last_run[league.name]).name
 
 
-def rated(snapshots: list[Snapshot], matches: list[Match]) -> Ratings:
+def rated(snapshots: Sequence[Snapshot], matches: Sequence[Match]) -> Ratings:
     """The fit of all rating matches, anchored at the players' initial snapshots."""
     initial = [s.digest for s in snapshots if s.player and s.iteration == 0]
     payoff = tally(matches, players=[s.digest for s in snapshots])
     return fit(payoff, anchors=initial, anchor_elo=ANCHOR_ELO)
 
 
-def rating_rows(snapshots: list[Snapshot], matches: list[Match]) -> list[dict]:
+def rating_rows(snapshots: Sequence[Snapshot], matches: Sequence[Match]) -> list[dict]:
     """See Open.ratings. Snapshots that have played no episode are listed last, without a rating."""
     if not snapshots:
         return []
     payoff = tally(matches, players=[s.digest for s in snapshots])
     ratings = rated(snapshots, matches)
-    first = {s.player: s.digest for s in reversed(snapshots) if s.player and s.iteration == 0}
+    first = {s.player: s.digest for s in snapshots[::-1] if s.player and s.iteration == 0}
     rows = []
     for s in snapshots:
         i = ratings.index(s.digest)

@@ -61,14 +61,14 @@ def snapshots(args: list[str]) -> int:
 
 def ratings_table(frozen: Sequence[Snapshot], log: Sequence[Match], format: Format = "table") -> str:
     """The ratings of snapshots from rating matches, as text."""
-    rows = rating_rows(list(frozen), list(log))
+    rows = rating_rows(frozen, log)
     if format != "table":
         return render(rows, (), format)
     for row in rows:
         row["error"] = None if row["elo"] is None else (row["high"] - row["low"]) / 2
     title = "Elo ± 95 %; initial snapshots: 1000"
     if log:
-        title += f"; the first side is worth {rated(list(frozen), list(log)).side_advantage:+.0f}"
+        title += f"; the first side is worth {rated(frozen, log).side_advantage:+.0f}"
     return render(rows, RATING_COLUMNS, format, title)
 
 

@@ -149,14 +149,15 @@ class Trainer:
         return any(before.seconds < mark <= self.counters.seconds for mark in marks)
 
     def _snapshot_due(self, store: Store, player: Player) -> bool:
-        """At the start, on the logarithmic axis, and at the first turn's end after a milestone of training time."""
+        """At the start, on the logarithmic axis, after a milestone of training time, and when the budget is spent."""
         kept = store.snapshots(player.league, player.name)
         if not kept:
             return True
         last, now = kept[-1], self.counters
         on_axis = now.iteration >= next_due(last.iteration, self.config.training.snapshots_per_doubling)
         marks = () if self.config.deterministic else self.config.rating.milestone_seconds
-        return on_axis or any(last.seconds < mark <= now.seconds for mark in marks)
+        passed = any(last.seconds < mark <= now.seconds for mark in marks)
+        return on_axis or passed or self.config.budget.spent(now.seconds, now.steps)
 
 
 def random_key(seed: int, purpose: str, number: int) -> Array:

@@ -4,7 +4,7 @@ Below P is the number of snapshots, D the number of (home, away) pairs that met,
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -257,16 +257,3 @@ def _even_log(gap: np.ndarray) -> np.ndarray:
 def _even_variance(gap: np.ndarray) -> np.ndarray:
     """σ(gap) σ(-gap), the information in one virtual game."""
     return 0.25 / np.cosh(np.clip(gap / 2, -300, 300)) ** 2
-
-
-def tick(elo: Mapping[str, float], a: str, b: str, score: float, games: int = 1, k: float = 16.0) -> dict[str, float]:
-    """Online Elo (Elo 1978) for a live display only: its result depends on the order of games; `fit`'s does not.
-
-    `games` games that ended in the mean `score` for a are played through one by one, each moving a and b by
-    k (score - expected). Newcomers start at 1000. Returns a new mapping.
-    """
-    ours, theirs = elo.get(a, 1000.0), elo.get(b, 1000.0)
-    for _ in range(games):
-        move = k * (score - 1 / (1 + 10 ** ((theirs - ours) / 400)))
-        ours, theirs = ours + move, theirs - move
-    return {**elo, a: ours, b: theirs}

@@ -64,11 +64,6 @@ def next_due(iteration: int, per_doubling: int = 1) -> int:
     return due
 
 
-def due_on_log_axis(iteration: int, per_doubling: int = 1) -> bool:
-    """Whether a snapshot is due at `iteration`: at 0 and wherever `next_due` points."""
-    return iteration == 0 or next_due(iteration - 1, per_doubling) == iteration
-
-
 def pairings(
     payoff: Payoff,
     candidates: Sequence[str],

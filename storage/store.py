@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy.engine import make_url
@@ -33,9 +33,6 @@ from storage.records import (
     Snapshot,
     Worker,
 )
-
-if TYPE_CHECKING:
-    import numpy as np
 
 R = TypeVar("R")
 
@@ -168,19 +165,6 @@ class Store:
     def matches(self, league: str, purpose: str | None = None, after: int = 0) -> list[Match]:
         """The league's match log in the order it was written, or the part played for one purpose or after a match."""
         return list(map(t.match_from, self._match_rows(t.MATCH_COLUMNS, league, purpose, after)))
-
-    def match_columns(self, league: str, purpose: str | None = None) -> dict[str, "np.ndarray"]:
-        """The same log as one array per column, shape (matches,): counts as integers, names and digests as text.
-
-        The columns are those of Match, flat, pair counts as `ll, ld, dd_wl, dw, ww`; recordings are left out.
-        """
-        import numpy as np  # only who reads columns pays for it
-
-        columns = [column for column in t.MATCH_COLUMNS if not column.nullable]
-        rows = self._match_rows(columns, league, purpose)
-        values = zip(*rows, strict=True) if rows else [()] * len(columns)
-        types = {int: np.int64, float: np.float64, str: np.str_}
-        return {c.name: np.array(v, types[c.type.python_type]) for c, v in zip(columns, values, strict=True)}
 
     # Jobs and leases
 

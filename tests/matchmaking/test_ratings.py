@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matchmaking.payoff import tally
-from matchmaking.ratings import ELO, fit, tick
+from matchmaking.ratings import ELO, fit
 
 NONE = 1e-9  # a prior too weak to be seen
 
@@ -199,10 +199,3 @@ def test_superiority_is_the_chance_that_the_difference_is_positive(match):
 def test_impossible_requests_are_refused(match, wrong, says):
     with pytest.raises(ValueError, match=says):
         fit(tally([swapped(match, "a", "b", 1, 0, 1)]), **wrong)
-
-
-def test_the_ticker_moves_both_alike_and_cannot_overshoot():
-    assert tick({}, "a", "b", 1.0, k=16) == {"a": 1008, "b": 992}
-    settled = tick({"a": 1000, "b": 1000, "c": 7}, "a", "b", 0.75, games=10_000)
-    assert settled["a"] - settled["b"] == pytest.approx(400 * math.log10(3))
-    assert settled["c"] == 7

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from matchmaking.payoff import tally
-from matchmaking.schedule import Schedule, due_on_log_axis, learners, next_due, next_swap, pairings
+from matchmaking.schedule import Schedule, learners, next_due, next_swap, pairings
 
 
 def test_leapfrog_takes_turns():
@@ -46,7 +46,6 @@ def test_a_learner_beyond_the_teams_is_refused():
     [(1, [0, 1, 2, 4, 8, 16, 32, 64]), (2, [0, 1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64])],
 )
 def test_snapshots_are_due_on_a_log_axis(per_doubling, due):
-    assert [i for i in range(65) if due_on_log_axis(i, per_doubling)] == due
     assert [next_due(i, per_doubling) for i in due[:-1]] == due[1:]
 
 

@@ -2,7 +2,6 @@
 
 import time
 
-import numpy as np
 import pytest
 
 from storage.errors import StorageError, UnknownName
@@ -134,22 +133,7 @@ def test_matches_return_as_they_were_written(store: Store):
     assert [m.id for m in kept] == [1, 2, 3]
     assert [Match(**{**vars(m), "id": 0, "created": 0.0}) for m in kept] == given
     assert [m.seed for m in store.matches("cup", purpose="gate")] == [2]
-
-
-def test_columns_say_what_the_rows_say(store: Store):
-    finish_a_job(store, matches=[distinct_match(store, seed, "gate" if seed == 2 else "rating") for seed in (1, 2, 3)])
-    columns = store.match_columns("cup", "rating")
-    rows = store.matches("cup", "rating")
-    assert columns["a"].tolist() == [m.a for m in rows]
-    assert columns["seed"].tolist() == [1, 3]
-    for name in ("wins", "draws", "losses", "voids", "side_wins", "side_draws", "side_losses", "steps"):
-        assert columns[name].tolist() == [getattr(m, name) for m in rows]
-    for name in PairCounts._fields:
-        assert columns[name].tolist() == [getattr(m.pairs, name) for m in rows]
-    empty = store.match_columns("cup", "nothing")
-    assert {name: column.dtype.kind for name, column in empty.items()} == {n: c.dtype.kind for n, c in columns.items()}
-    assert all(column.shape == (0,) for column in empty.values())
-    assert columns["wins"].dtype == np.int64
+    assert [m.seed for m in store.matches("cup", purpose="rating", after=1)] == [3]
 
 
 def test_workers_are_those_that_beat_lately(store: Store):
