@@ -48,10 +48,10 @@ def distribution(params: Params, observations: Array) -> tuple[Array, Array]:
     x = _layer_norm(params, 0, x)
     layers = sum(name.startswith("trunk.hidden.") and name.endswith(".weight") for name in params)
     for i in range(layers):
-        x = x @ params[f"trunk.hidden.{i}.weight"].T + params[f"trunk.hidden.{i}.bias"]
+        x = _linear(x, params[f"trunk.hidden.{i}.weight"], params[f"trunk.hidden.{i}.bias"])
         x = jax.lax.switch(params["activation"], _ACTIVATIONS, x)
         x = _layer_norm(params, i + 1, x)
-    mean = x @ params["mean.weight"].T + params["mean.bias"]
+    mean = _linear(x, params["mean.weight"], params["mean.bias"])
     return mean, jax.nn.sigmoid(params["std_logit"]) * params["std_scale"]
 
 
@@ -61,6 +61,13 @@ def sample(params: Params, observations: Array, keys: Array) -> tuple[Array, Arr
     noise = jax.vmap(lambda key: jax.random.normal(key, mean.shape[-1:]))(keys)
     log_density = -0.5 * noise**2 - jnp.log(std) - 0.5 * jnp.log(2 * jnp.pi)
     return mean + std * noise, log_density.sum(axis=-1)
+
+
+def _linear(x: Array, weight: Array, bias: Array) -> Array:
+    """A layer in full single precision, as torch has it. By default JAX rounds factors to 10 bits on a GPU, and the log
+    densities of the policy that acted would differ from those of the one that learns by up to 5e-3 (measured, H200).
+    """
+    return jnp.matmul(x, weight.T, precision="highest") + bias
 
 
 def _layer_norm(params: Params, i: int, x: Array) -> Array:

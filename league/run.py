@@ -23,6 +23,7 @@ from league.progress import NEXT, Ticker, summary
 from league.query import only_league
 from league.settings import ConfigError, check
 from league.versions import versions
+from matchmaking.roles import MAIN
 from storage.records import ArenaKey, League, Player
 from storage.store import Store
 
@@ -133,7 +134,7 @@ def _create(store: Store, config: Config, arena: Arena) -> None:
             f"league {config.league!r} is running already (process {other.pid} on {other.host}): see `league status`,"
             " or `league stop` first"
         )
-    store.add_players([Player(config.league, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
+    store.add_players([Player(config.league, t.name, i, MAIN.name, t.roster) for i, t in enumerate(arena.teams)])
     add_scripts(store, config.league, arena, config.rating.scripts)
     if kept.config != configuration.dumps(config):
         store.set_config(config.league, configuration.dumps(config))

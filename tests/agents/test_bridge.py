@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def trajectory() -> Trajectory:
 @pytest.mark.parametrize("worlds", [slice(None), slice(1, 3), np.array([4, 0, 2])])
 def test_a_teams_batch_is_its_agents_in_its_worlds(worlds, trajectory):
     mine = list(range(N))[worlds] if isinstance(worlds, slice) else worlds.tolist()
-    batch = team_batch(trajectory, RED, 1, worlds, shaping=0.5)
+    batch = jax.tree.map(lambda tensor: tensor.cpu(), team_batch(trajectory, RED, 1, worlds, shaping=0.5))
 
     def expected(field: int, agent: int, *last: int) -> np.ndarray:
         return np.asarray(encoded(field, agent, *last))[:, mine]
