@@ -91,6 +91,7 @@ def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
                 {"snapshot": s.name, "against": o.name, "against_seconds": round(o.seconds, 1), **score(payoff, s, o)}
                 for s in newest_snapshots(standing)
                 for o in yardsticks(config, standing, s)
+                if payoff.score(s.digest, o.digest).games
             ],
             "curve": curve(store, config, standing),
         }
