@@ -165,7 +165,7 @@ def test_bad_input_is_told_in_one_breath_and_leaves_nothing(args, says, tmp_path
 @pytest.mark.parametrize(
     ("args", "says"),
     [
-        (("ratings", "--league", "tyni"), "Did you mean 'tiny'"),
+        (("ratings", "--league", "tinny"), "Did you mean 'tiny'"),
         (("watch", "999"), "There is no match 999"),
         (("run", "--league", "tiny", "--arena.name", "sumo-2v2"), "is played in sumo-1v1"),
     ],

@@ -61,10 +61,10 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
     assert call(*RUN, cwd=undisturbed).returncode == 0
 
     first = start(killed)
-    wait_for(killed, lambda store: iteration(store) >= 4)
     learner = wait_for(killed, lambda store: of_kind(store, "train"))
+    wait_for(killed, lambda store: any(j.payload["first"] >= 8 for j in store.jobs("tiny", "leased", "train")))
     os.kill(learner.pid, signal.SIGKILL)  # the manager starts another one, the lease expires, the turn is done again
-    wait_for(killed, lambda store: iteration(store) >= 8)
+    wait_for(killed, lambda store: iteration(store) >= 16)
     before = results(killed)
     first.send_signal(signal.SIGKILL)  # its workers notice and end
     first.wait()
