@@ -191,5 +191,5 @@ def _detach(args: list[str], options: RunOptions) -> int:
     time.sleep(3)  # long enough for bad input to show itself
     if process.poll() not in (None, 0):
         raise DaemonError(f"it ended at once: {log.read_text().strip().splitlines()[-1]}")
-    print(f"Runs in the background as process {process.pid}; it writes to {log}. see `league status`, `league stop`.")
+    print(f"Runs in the background as process {process.pid}; it writes to {log}. See `league status`, `league stop`.")
     return 0
