@@ -18,10 +18,11 @@ from league import plan
 from league.config import Config
 from league.plan import Standing
 from league.worker import BEAT, work
-from storage.records import Worker
+from storage.records import Lease, Worker
 from storage.store import Store
 
 TICK = 0.2  # seconds between two looks at the store
+SILENT = 3 * BEAT  # seconds without a word after which a process that cannot be found is dead
 GRACE = 60.0  # seconds that a worker has to finish its iteration
 MAX_RESTARTS = 5  # in a row, each within RESTART_WINDOW: then something is wrong that a restart does not mend
 RESTART_WINDOW = 30.0
@@ -75,6 +76,7 @@ class Manager:
                     self.phase = "stopped"
                 if time.monotonic() - told >= BEAT or self.phase in ("done", "stopped"):
                     told = time.monotonic()
+                    self._release_orphans()
                     self.store.beat(self.id, self.config.league, "manager", os.getpid(), socket.gethostname(), {})
                     tell(standing, self.phase, self.store.workers(self.config.league, 10 * BEAT))
                 if self.phase in ("done", "stopped"):
@@ -131,6 +133,19 @@ class Manager:
             if process.is_alive():
                 process.kill()
                 process.join()
+
+    def _release_orphans(self) -> None:
+        """Give back what dead processes of this host hold, rather than wait until their leases expire.
+
+        A holder that was wrongly taken for dead, say on a host of the same name, loses work and nothing else: its token
+        is old by then. So only those are taken for dead that have also been silent.
+        """
+        league, here = self.config.league, socket.gethostname()
+        beating = {worker.id for worker in self.store.workers(league, SILENT)}
+        for job in self.store.jobs(league, "leased"):
+            host, pid, *_ = (job.holder or "").rsplit(":", 2)
+            if host == here and job.holder not in beating and not _exists(int(pid)):
+                self.store.release(Lease(job.id, str(job.holder), job.attempt))
 
     def _requeue_failed(self) -> None:
         """A person has started the league again, so what failed deserves another try."""

@@ -12,7 +12,7 @@ from storage.store import Store
 from tests.league.conftest import ROOT, TINY, call, command
 
 STEPS = "40000"
-RUN = ("run", *TINY, "--deterministic", "--budget.steps", STEPS, "--budget.rate", "20s", "--workers.lease", "3")
+RUN = ("run", *TINY, "--deterministic", "--budget.steps", STEPS, "--budget.rate", "20s", "--workers.lease", "60")
 
 
 def start(folder):
@@ -63,7 +63,7 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
     first = start(killed)
     learner = wait_for(killed, lambda store: of_kind(store, "train"))
     wait_for(killed, lambda store: any(j.payload["first"] >= 8 for j in store.jobs("tiny", "leased", "train")))
-    os.kill(learner.pid, signal.SIGKILL)  # the manager starts another one, the lease expires, the turn is done again
+    os.kill(learner.pid, signal.SIGKILL)  # the manager starts another one and gives it the turn, to be done again
     wait_for(killed, lambda store: iteration(store) >= 16)
     before = results(killed)
     first.send_signal(signal.SIGKILL)  # its workers notice and end
