@@ -1,5 +1,6 @@
 """`league stop`, `league status`, `league init`, `league arenas`, `league check`."""
 
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +55,9 @@ def status(args: list[str]) -> int:
         print(render(rows, ["worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), "seen s ago"]))
         for job in jobs:
             if job.state == "failed":
-                print(f"\nfailed: {job.key} (attempt {job.attempt})\n{job.error}")
+                told = (job.error or "").strip()
+                told = told if "--debug" in sys.argv else told.partition("\n")[0] + " (--debug shows where)"
+                print(f"\nfailed: {job.key} (attempt {job.attempt}): {told}")
     return 0
 
 

@@ -6,6 +6,7 @@ Nothing heavy is imported above: `work` first sets what jax, XLA and Warp read f
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -41,8 +42,14 @@ def work(where: str, config_text: str, kinds: tuple[str, ...], number: int) -> N
     # with one thread and 0.47 s with two, and the rollout after it 1.5 s instead of 1.9 s.
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
     config = configuration.loads(config_text)
-    with Store.open(where) as store:
-        Worker(store, config, kinds, number, stopping).run()
+    try:
+        with Store.open(where) as store:
+            Worker(store, config, kinds, number, stopping).run()
+    except (
+        StorageError
+    ) as error:  # the manager starts another one; a person needs the reason, not the place in the code
+        print(f"league: {'+'.join(kinds)} worker: {error}", file=sys.stderr, flush=True)
+        sys.exit(2)
 
 
 class Worker:
