@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -56,6 +56,13 @@ def draw(weights: np.ndarray, k: int, rng: np.random.Generator) -> np.ndarray:
     return rng.choice(len(weights), size=k, p=weights)
 
 
+class Split(NamedTuple):
+    """How many groups of a learner's worlds play present opponents, and how many past ones."""
+
+    present: int
+    past: int
+
+
 @dataclass(frozen=True)
 class Opponents:
     """Whom a learning player meets."""
@@ -69,8 +76,8 @@ class Opponents:
     delta: float = 0.0
     """For delta_uniform: the oldest share of the history that is left out, 0 to 1."""
 
-    groups: int = 1
-    """How many past snapshots are met at once; they share the `past` worlds equally."""
+    groups: int = 8
+    """Equal groups of a learner's worlds, those with present opponents included; each other one meets a snapshot."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -78,12 +85,30 @@ class Opponents:
         for name in ("past", "delta"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; it is a share and must lie between 0 and 1")
-        if self.groups < 1:
-            raise ValueError(f"groups is {self.groups}; it must be 1 or more")
+        fewest = 2 if 0 < self.past < 1 else 1
+        if self.groups < fewest:
+            why = f", for present and past opponents (past = {self.past})" if fewest == 2 else ""
+            raise ValueError(f"groups is {self.groups}; it must be {fewest} or more{why}")
         if self.delta and self.kind != "delta_uniform":
             raise ValueError(f"delta = {self.delta} does nothing with kind = {self.kind!r}; use kind = 'delta_uniform'")
         if self.kind != "latest" and not self.past:
             raise ValueError(f"kind = {self.kind!r} does nothing with past = 0; give past > 0, e.g. 0.2")
+
+    def split(self) -> Split:
+        """Groups against present and against past opponents: the share `past` to within one group, none left empty.
+
+        Where all opponents are present there is one group, for all worlds are alike.
+        """
+        if self.past in (0, 1):
+            return Split(0, self.groups) if self.past else Split(1, 0)
+        past = min(max(round(self.past * self.groups), 1), self.groups - 1)
+        return Split(self.groups - past, past)
+
+    @property
+    def true_share(self) -> float:
+        """The share of the worlds that really play past snapshots."""
+        present, past = self.split()
+        return past / (present + past)
 
     def weights(self, n: int, win_rates: np.ndarray | None = None) -> np.ndarray:
         """(n,) Probabilities over n snapshots, oldest first; `win_rates` (n,) are read by prioritized alone."""

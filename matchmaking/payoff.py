@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from storage.records import Match
+from storage.records import ArenaKey, Match
 
 PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
 
 
 class Score(NamedTuple):
-    """The mean score of one snapshot against another (win 1, draw ½, loss 0), its interval and its number of games."""
+    """A snapshot's mean score against others (win 1, draw ½, loss 0) or its success rate alone, with its interval."""
 
-    score: float  # nan where they never met
+    score: float  # nan where nothing was played
     low: float
     high: float
     games: int
@@ -33,21 +33,24 @@ class Payoff:
     snapshots a match called A.
     """
 
-    names: tuple[str, ...]  # (P,) digests, sorted
+    names: tuple[str, ...]  # (P,) of snapshots, sorted
     first: np.ndarray  # (E,) int
     second: np.ndarray  # (E,) int
     home: np.ndarray  # (E, 3) int: wins, draws, losses of first while it played team 0
     away: np.ndarray  # (E, 3) int: the same while second played team 0
     pairs: np.ndarray  # (E, 5) int: seed pairs by first's score: LL, LD, DD or WL, DW, WW
     voids: np.ndarray  # (E,) int: episodes that count for nobody
+    culprits: np.ndarray  # (E, 2) int: those of them in which only first's robots went bad, or only second's
+    trials: np.ndarray  # (P, 4) int, in arenas of one team: successes, failures, voids, those of them that are its own
+    arena: ArenaKey | None = None  # of the matches; None without any
 
     @cached_property
     def positions(self) -> dict[str, int]:
-        """Where each digest stands in `names`."""
+        """Where each snapshot stands in `names`."""
         return {name: i for i, name in enumerate(self.names)}
 
     def index(self, name: str) -> int:
-        """Position of a digest in `names`; ValueError if it is not there."""
+        """Position of a snapshot in `names`; ValueError if it is not there."""
         if name not in self.positions:
             raise ValueError(f"snapshot {name!r} is not among the {len(self.names)} of this payoff; see Payoff.names")
         return self.positions[name]
@@ -83,15 +86,22 @@ class Payoff:
         with np.errstate(invalid="ignore"):
             return (self.wins + 0.5 * self.draws) / self.games
 
-    def score(self, a: str, b: str, confidence: float = 0.95) -> Score:
-        """Mean score of a against b with the interval of `score_interval`; ValueError for an unknown digest."""
-        i, j = self.index(a), self.index(b)
-        wins, draws, losses = (int(counts[i, j]) for counts in (self.wins, self.draws, self.losses))
-        edge = np.flatnonzero((self.first == min(i, j)) & (self.second == max(i, j)))
-        pairs = self.pairs[edge].sum(0)[:: 1 if i < j else -1]
+    def score(self, a: str, *others: str, confidence: float = 0.95) -> Score:
+        """Mean score of a over its games against all of `others`, with the interval of `score_interval`.
+
+        Raises ValueError for an unknown name. Named twice counts once.
+        """
+        i, them = self.index(a), [self.index(b) for b in dict.fromkeys(others)]
+        wins, draws, losses = (int(counts[i, them].sum()) for counts in (self.wins, self.draws, self.losses))
+        ahead, behind = ((x == i) & np.isin(y, them) for x, y in self._both_ways)
+        pairs = self.pairs[ahead].sum(0) + self.pairs[behind].sum(0)[::-1]
         low, high = score_interval(wins, draws, losses, pairs, confidence)
         n = wins + draws + losses
         return Score((wins + draws / 2) / n if n else float("nan"), float(low), float(high), n)
+
+    @property
+    def _both_ways(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        return (self.first, self.second), (self.second, self.first)
 
     def _square(self, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
         """Per-pair counts as a (P, P) matrix: `forward` for (first, second), `backward` for (second, first)."""
@@ -101,44 +111,71 @@ class Payoff:
         return square
 
 
-def tally(matches: Sequence[Match], players: Iterable[str] = ()) -> Payoff:
+def tally(matches: Sequence[Match], players: Iterable[str] = (), onto: Payoff | None = None) -> Payoff:
     """Sum a match log into a Payoff.
 
     Args:
-        matches: rows of one ArenaKey. A snapshot's matches against itself say nothing of strength and are left out.
-        players: digests that shall have a place even if they have not played yet.
+        matches: rows of one ArenaKey. A snapshot's matches against itself say nothing of strength and are left out;
+            those without an opponent, from an arena of one team, are counted as `trials`.
+        players: names of snapshots that shall have a place even if they have not played yet.
+        onto: what earlier rows of the same log were summed into; the result is the same as of all rows together.
 
     Raises:
         ValueError: matches of several ArenaKeys, which cannot be compared, or a row whose counts contradict each other.
     """
-    if len(arenas := {match.arena for match in matches}) > 1:
+    arenas = {match.arena for match in matches} | ({onto.arena} if onto and onto.arena else set())
+    if len(arenas) > 1:
         raise ValueError(f"matches of {len(arenas)} arenas cannot be compared; choose one of {sorted(arenas)}")
-    names = tuple(sorted({*players, *(m.a for m in matches), *(m.b for m in matches)}))
+    for match in matches:
+        _check(match)
+    seen = {name for m in matches for name in (m.a, m.b) if name is not None}
+    names = tuple(sorted({*players, *seen, *(onto.names if onto else ())}))
     place = {name: i for i, name in enumerate(names)}
-    rows = [_row(m, place) for m in matches if m.a != m.b]
-    table = np.array(rows, np.int64).reshape(-1, 14)
+    table = np.array([_row(m, m.b, place) for m in matches if m.b not in (None, m.a)], np.int64).reshape(-1, 16)
+    trials = np.zeros((len(names), 4), np.int64)
+    for m in matches:
+        if m.b is None:
+            trials[place[m.a]] += m.wins, m.draws + m.losses, m.voids, m.voids_a
+    if onto is not None:
+        now = np.array([place[name] for name in onto.names], np.int64)
+        counts = (onto.home, onto.away, onto.pairs, onto.voids, onto.culprits)
+        table = np.concatenate([table, np.column_stack([now[onto.first], now[onto.second], *counts])])
+        trials[now] += onto.trials
     # Pairs are numbered by place, so sums do not depend on the order of rows (and integers add exactly).
     keys, edge = np.unique(table[:, 0] * len(names) + table[:, 1], return_inverse=True)
-    counts = np.zeros((len(keys), 12), np.int64)
-    np.add.at(counts, edge, table[:, 2:])
+    sums = np.zeros((len(keys), 14), np.int64)
+    np.add.at(sums, edge, table[:, 2:])
     first, second = np.divmod(keys, max(len(names), 1))
-    return Payoff(names, first, second, counts[:, :3], counts[:, 3:6], counts[:, 6:11], counts[:, 11])
+    home, away, pairs, voids, culprits = np.split(sums, [3, 6, 11, 12], axis=1)
+    return Payoff(names, first, second, home, away, pairs, voids[:, 0], culprits, trials, next(iter(arenas), None))
 
 
-def _row(match: Match, place: dict[str, int]) -> tuple[int, ...]:
-    """A match as (first, second, home ×3, away ×3, pairs ×5, voids), seen from the snapshot that sorts first."""
+def _check(match: Match) -> None:
+    """Refuse a row whose counts contradict each other."""
     home = (match.side_wins, match.side_draws, match.side_losses)
     away = (match.wins - home[0], match.draws - home[1], match.losses - home[2])
-    pairs = tuple(match.pairs)
-    if min(*home, *away, *pairs, match.voids) < 0 or sum(pairs) > min(sum(home), sum(away)):
+    blamed = (match.voids_a, match.voids_b)
+    if (
+        min(*home, *away, *match.pairs, match.voids, *blamed) < 0
+        or sum(match.pairs) > min(sum(home), sum(away))
+        or sum(blamed) > match.voids
+    ):
+        against = f" against {match.b}" if match.b else ""
         raise ValueError(
-            f"match {match.id} ({match.a[:8]} against {match.b[:8]}) contradicts itself: side counts must not exceed"
-            " the totals, and each seed pair needs a valid game on either side"
+            f"match {match.id} ({match.a}{against}) contradicts itself: side counts must not exceed the totals, each"
+            " seed pair needs a valid game on either side, and a void has one culprit at most"
         )
-    if match.a > match.b:  # B's away games are those in which A played team 0, and A's losses are B's wins
-        home, away, pairs = away[::-1], home[::-1], pairs[::-1]
-    i, j = sorted((place[match.a], place[match.b]))
-    return (i, j, *home, *away, *pairs, match.voids)
+
+
+def _row(match: Match, b: str, place: dict[str, int]) -> tuple[int, ...]:
+    """A match as (first, second, home ×3, away ×3, pairs ×5, voids, culprits ×2), seen from the first by name."""
+    home = (match.side_wins, match.side_draws, match.side_losses)
+    away = (match.wins - home[0], match.draws - home[1], match.losses - home[2])
+    pairs, culprits = tuple(match.pairs), (match.voids_a, match.voids_b)
+    if match.a > b:  # B's away games are those in which A played team 0, and A's losses are B's wins
+        home, away, pairs, culprits = away[::-1], home[::-1], pairs[::-1], culprits[::-1]
+    i, j = sorted((place[match.a], place[b]))
+    return (i, j, *home, *away, *pairs, match.voids, *culprits)
 
 
 def score_interval(wins, draws, losses, pairs=None, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ DISPERSION_PRIOR = 2.0  # virtual variance, as of four decisive seed pairs betwe
 class Ratings:
     """What the fit says of P snapshots, in the order of the payoff."""
 
-    names: tuple[str, ...]  # (P,) digests
+    names: tuple[str, ...]  # (P,) of snapshots
     elo: np.ndarray  # (P,)
     low: np.ndarray  # (P,) interval of the difference to the anchors' mean, put at anchor_elo
     high: np.ndarray  # (P,)
@@ -32,7 +32,7 @@ class Ratings:
     covariance: np.ndarray  # (P, P) in Elo², of the differences to the anchors' mean
 
     def index(self, name: str) -> int:
-        """Position of a digest; ValueError if it was not rated."""
+        """Position of a snapshot; ValueError if it was not rated."""
         if name not in self.names:
             raise ValueError(f"snapshot {name!r} is not among the {len(self.names)} that are rated; see Ratings.names")
         return self.names.index(name)
@@ -56,12 +56,15 @@ class Ratings:
         deviation = math.sqrt(self.variances()[i, j])
         return 0.5 * (1 + math.erf((self.elo[i] - self.elo[j]) / (deviation * math.sqrt(2)))) if deviation else 0.5
 
+    def first_side(self) -> float:
+        """Expected score of whoever plays team 0 against an equal; in [0, 1]."""
+        return float(self._on_side(np.zeros(()), self.side_advantage))
+
     def _expected(self, gap: np.ndarray) -> np.ndarray:
-        log_nu = math.log(self.draw) if self.draw else -math.inf
-        own, other = (
-            davidson((gap + side) / ELO, log_nu).score for side in (self.side_advantage, -self.side_advantage)
-        )
-        return (own + other) / 2
+        return (self._on_side(gap, self.side_advantage) + self._on_side(gap, -self.side_advantage)) / 2
+
+    def _on_side(self, gap: np.ndarray, side: float) -> np.ndarray:
+        return davidson((gap + side) / ELO, math.log(self.draw) if self.draw else -math.inf).score
 
 
 def fit(
@@ -91,7 +94,7 @@ def fit(
     Args:
         payoff: who beat whom.
         prior: virtual games per snapshot, above 0.
-        anchors: digests whose mean is put at `anchor_elo`; all snapshots if empty.
+        anchors: names of snapshots whose mean is put at `anchor_elo`; all snapshots if empty.
         anchor_elo: where the scale is pinned.
         confidence: of the intervals, between 0 and 1.
 

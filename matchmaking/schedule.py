@@ -7,8 +7,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from matchmaking.ladder import Ladder
 from matchmaking.payoff import Payoff
-from matchmaking.ratings import ELO, fit
+from matchmaking.ratings import ELO
+from storage.records import Phase
 
 Kind = Literal["simultaneous", "leapfrog", "frozen"]
 
@@ -35,19 +37,78 @@ class Schedule:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
 
 
-def learners(schedule: Schedule, iteration: int, n_teams: int) -> tuple[int, ...]:
-    """Teams that learn in the league's iteration `iteration` (counted from 0, whoever learns in it)."""
-    if schedule.learner >= n_teams:
-        raise ValueError(f"learner is {schedule.learner}, but the arena's teams are 0 to {n_teams - 1}")
-    if schedule.kind == "simultaneous":
-        return tuple(range(n_teams))
-    turn = iteration // schedule.period if schedule.kind == "leapfrog" else 0
-    return ((schedule.learner + turn) % n_teams,)
+def first_phase(
+    schedule: Schedule, league: str, group: str, able: Mapping[int, str], iterations: Mapping[str, int]
+) -> Phase:
+    """The phase in which a group of players begins.
+
+    Args:
+        schedule: who learns when.
+        league: the league's name.
+        group: the name of the group whose players learn together.
+        able: team -> the group's player in it; a player that is paused is left out, and so never learns.
+        iterations: player -> its own iteration now, for every player of the group, paused or not.
+    """
+    start = able.get(_next_team(schedule.learner, able)) if schedule.kind == "leapfrog" else None
+    return _phase(schedule, league, group, 0, able, iterations, start)
 
 
-def next_swap(schedule: Schedule, iteration: int) -> int | None:
-    """The first iteration after `iteration` in which another team learns, or None if that never comes."""
-    return (iteration // schedule.period + 1) * schedule.period if schedule.kind == "leapfrog" else None
+def next_phase(
+    schedule: Schedule, phase: Phase, able: Mapping[int, str], iterations: Mapping[str, int]
+) -> Phase | None:
+    """The phase that follows now; None while `phase` goes on. Arguments are those of `first_phase`.
+
+    A phase ends by what its `until` says, when one of its learners is paused, and when the schedule no longer fits it,
+    be it that a paused player goes on or that the settings were changed. In leapfrog the turn passes to the next team;
+    a learner that can go on no longer hands over to whoever has learnt least. Where nobody can learn, the phase that
+    follows has no learners, and lasts until somebody can.
+    """
+    team_of = {player: team for team, player in able.items()}
+    learner = None
+    if schedule.kind == "leapfrog" and able:
+        left = iterations_left(phase, iterations)
+        now = team_of.get(phase.learners[0]) if left is not None and phase.learners else None
+        if left is None:  # another schedule's, or one of nobody: begin
+            learner = able[_next_team(schedule.learner, able)]
+        elif now is None:
+            order = sorted(able, key=lambda team: (iterations.get(able[team], 0), team < schedule.learner, team))
+            learner = able[order[0]]
+        elif left > 0:
+            return None
+        else:
+            learner = able[_next_team(now + 1, able)]
+    following = _phase(schedule, phase.league, phase.group, phase.number + 1, able, iterations, learner)
+    lasts = "iterations" not in following.until and "iterations" not in phase.until
+    return None if lasts and following.learners == phase.learners else following
+
+
+def iterations_left(phase: Phase, iterations: Mapping[str, int]) -> int | None:
+    """How many iterations the phase's learners still have, by their own counts; None where none are counted."""
+    if "iterations" not in phase.until:
+        return None
+    done = max((iterations.get(p, 0) - phase.since.get(p, 0) for p in phase.learners), default=0)
+    return max(0, phase.until["iterations"] - done)
+
+
+def _phase(
+    schedule: Schedule, league: str, group: str, number: int, able: Mapping[int, str], iterations: Mapping[str, int],
+    leaper: str | None,
+) -> Phase:  # fmt: skip
+    """A phase that begins now; in leapfrog `leaper` learns, if anybody can."""
+    match schedule.kind:
+        case "simultaneous":
+            learners = tuple(able[team] for team in sorted(able))
+        case "frozen":
+            learners = (able[schedule.learner],) if schedule.learner in able else ()
+        case "leapfrog":
+            learners = () if leaper is None else (leaper,)
+    until = {"iterations": schedule.period} if leaper is not None else {}
+    return Phase(league, group, number, learners, dict(iterations), until)
+
+
+def _next_team(start: int, able: Mapping[int, str]) -> int:
+    """The first team from `start` on, counted round, that has somebody who can learn; -1 without any."""
+    return min(able, key=lambda team: (team < start, team), default=-1)
 
 
 def next_due(iteration: int, per_doubling: int = 1) -> int:
@@ -65,7 +126,7 @@ def next_due(iteration: int, per_doubling: int = 1) -> int:
 
 
 def pairings(
-    payoff: Payoff,
+    ladder: Ladder,
     candidates: Sequence[str],
     *,
     quota: int,
@@ -82,50 +143,82 @@ def pairings(
     information gain, Lindley 1956). That prefers equals over the far, and the unknown over the known.
     A planned pair counts as `quota` episodes for the rest of the batch, and as the information that they will give.
     Ties go to the newest, so the same arguments always give the same plan. Void episodes count as played, lest a pair
-    that always fails be planned for ever.
+    that always fails be planned for ever. Where every pair has its quota, nothing is fitted.
 
     Args:
-        payoff: what has been played, tallied with `players=` all names used here.
-        candidates: digests that want a rating, oldest first.
+        ladder: what has been played, with a place for all names used here.
+        candidates: snapshots that want a rating, oldest first.
         quota: episodes after which a pair is played enough.
         per_batch: at most so many pairs.
-        always: digest -> opponents that it shall meet first, e.g. its player's initial snapshot, in order.
+        always: snapshot -> opponents that it shall meet first, e.g. its player's initial snapshot, in order.
         may_meet: whether two snapshots can play each other at all, e.g. by their rosters; symmetric.
 
     Returns:
         pairs (candidate, opponent), no pair twice and no one against itself; empty once every pair has its quota.
     """
-    ratings = fit(payoff)
-    chance = ratings.expected_scores()
-    information = chance * (1 - chance)  # of one game, in (log odds)⁻²
-    covariance = ratings.covariance / ELO**2
-    episodes = payoff.episodes.astype(float)
-    effort = episodes.sum(1)
+    payoff = ladder.payoff
     newest_first = [payoff.index(name) for name in reversed(candidates)]
     first_of = {payoff.index(a): [payoff.index(b) for b in others] for a, others in (always or {}).items()}
+    wanted = _wanted(payoff, newest_first, first_of, quota, may_meet)
+    if not wanted.any():
+        return []
+    knowledge = _Knowledge(ladder)
+    effort = payoff.episodes.sum(1).astype(float)
 
-    def opponent(i: int) -> int | None:
-        def wanted(j: int) -> bool:
-            return j != i and episodes[i, j] < quota and may_meet(payoff.names[i], payoff.names[j])
-
-        for required in filter(wanted, first_of.get(i, ())):
-            return required
-        gain = information[i] * (covariance[i, i] + np.diag(covariance) - 2 * covariance[i])
-        rounded = np.round(gain, 6)  # so that the last bits of the linear algebra do not break ties
-        return max(filter(wanted, newest_first), key=rounded.__getitem__, default=None)
+    def opponent(i: int) -> int:
+        required = [j for j in first_of.get(i, ()) if wanted[i, j]]
+        return required[0] if required else knowledge.most_telling(i, [j for j in newest_first if wanted[i, j]])
 
     plan: list[tuple[str, str]] = []
-    while len(plan) < per_batch:
-        by_effort = sorted(newest_first, key=effort.__getitem__)  # a stable sort: the newest first among equals
-        found = next(((i, j) for i in by_effort if (j := opponent(i)) is not None), None)
-        if found is None:
-            break
-        i, j = found
+    while len(plan) < per_batch and wanted.any():
+        # The first of the newest among those of least effort; a candidate whose list asks for nobody is left out.
+        i = min((i for i in newest_first if wanted[i].any()), key=effort.__getitem__)
+        j = opponent(i)
         plan.append((payoff.names[i], payoff.names[j]))
         effort[[i, j]] += quota
-        episodes[[i, j], [j, i]] = np.inf  # never twice in a batch
-        # What the planned games will tell of the gap i - j, by the Sherman-Morrison formula.
-        shared = covariance[i] - covariance[j]
-        expected = quota * information[i, j]
-        covariance = covariance - np.outer(shared, shared) * expected / (1 + expected * (shared[i] - shared[j]))
+        wanted[[i, j], [j, i]] = False  # never twice in a batch
+        knowledge.expect(i, j, quota)
     return plan
+
+
+def _wanted(
+    payoff: Payoff,
+    candidates: Sequence[int],
+    always: Mapping[int, Sequence[int]],
+    quota: int,
+    may_meet: Callable[[str, str], bool],
+) -> np.ndarray:
+    """(P, P) Whether candidate i asks for j: one it may choose and meet, and has not met for `quota` episodes."""
+    wanted = np.zeros(payoff.episodes.shape, bool)
+    wanted[np.ix_(candidates, candidates)] = True
+    for i in candidates:
+        wanted[i, list(always.get(i, ()))] = True
+    np.fill_diagonal(wanted, False)
+    wanted &= payoff.episodes < quota
+    for i, j in np.argwhere(wanted):
+        wanted[i, j] = may_meet(payoff.names[i], payoff.names[j])
+    return wanted
+
+
+class _Knowledge:
+    """What is known of the gaps between snapshots, and will be once the planned games have been played."""
+
+    def __init__(self, ladder: Ladder):
+        chance = ladder.ratings.expected_scores()
+        self._information = chance * (1 - chance)  # of one game, in (log odds)⁻²
+        self._covariance = ladder.ratings.covariance / ELO**2
+
+    def most_telling(self, i: int, others: Sequence[int]) -> int:
+        """Of whom one game against i tells most; the first of them if they tie."""
+        c = self._covariance
+        gain = self._information[i] * (c[i, i] + np.diag(c) - 2 * c[i])
+        rounded = np.round(gain, 6)  # so that the last bits of the linear algebra do not break ties
+        return max(others, key=rounded.__getitem__)
+
+    def expect(self, i: int, j: int, games: int) -> None:
+        """Count on so many games between i and j, by the Sherman-Morrison formula."""
+        shared = self._covariance[i] - self._covariance[j]
+        expected = games * self._information[i, j]
+        self._covariance = self._covariance - np.outer(shared, shared) * expected / (
+            1 + expected * (shared[i] - shared[j])
+        )

@@ -32,6 +32,6 @@ def from_bytes(data: bytes) -> dict[str, np.ndarray]:
     """
     try:
         arrays = load(data)
-    except SafetensorError as error:
+    except (SafetensorError, KeyError) as error:  # KeyError: of a type that NumPy does not have
         raise StorageError(f"These {len(data)} bytes are not stored arrays (safetensors): {error}") from error
     return {name: arrays[name] for name in sorted(arrays)}

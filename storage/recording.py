@@ -1,8 +1,8 @@
 """Recordings of matches: one episode as one MCAP file that replays on its own.
 
-The file holds the truth and no pictures: joint positions, actions, rewards, score, markers and events, with the
-compiled MJCF attached. GPU physics is not bit-reproducible, so a replay comes from these recorded states, never from
-the seed.
+The file holds the truth and no pictures: joint positions, actions, rewards and their named terms, score, markers and
+events, with the compiled MJCF attached. GPU physics is not bit-reproducible, so a replay comes from these recorded
+states, never from the seed.
 
     profile     league
     metadata    league.match: the header, each value as JSON
@@ -79,11 +79,12 @@ class Recording:
     score: np.ndarray  # (T, teams)
     markers: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (T, m), e.g. a circle's x, y, radius in m
     events: Sequence[tuple[int, str]] = ()  # (step, text)
+    terms: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (T, teams), what the reward is made of
 
     def __post_init__(self) -> None:
         for name in ("time", "qpos", "reward", "score"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
-        for name in ("actions", "markers"):
+        for name in ("actions", "markers", "terms"):
             arrays = {key: np.asarray(value, np.float64) for key, value in getattr(self, name).items()}
             object.__setattr__(self, name, arrays)
         object.__setattr__(self, "events", tuple((int(step), str(text)) for step, text in self.events))
@@ -139,8 +140,8 @@ def _check(recording: Recording) -> None:
             raise ValueError(f"header.{what} has {len(getattr(header, what))} entries for {len(header.teams)} teams")
     shapes = {"time": (recording.time, (T,)), "qpos": (recording.qpos, (T, None))}
     shapes |= {name: (getattr(recording, name), (T, len(header.teams))) for name in ("reward", "score")}
-    shapes |= {f"actions[{name!r}]": (array, (T, None)) for name, array in recording.actions.items()}
-    shapes |= {f"markers[{name!r}]": (array, (T, None)) for name, array in recording.markers.items()}
+    for what, width in (("actions", None), ("markers", None), ("terms", len(header.teams))):
+        shapes |= {f"{what}[{name!r}]": (array, (T, width)) for name, array in getattr(recording, what).items()}
     for name, (array, shape) in shapes.items():
         fits = len(array.shape) == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
         if not fits:
@@ -192,16 +193,21 @@ def _parse(data: bytes) -> Recording:
     def rows(values: Callable[[Any], Any]) -> np.ndarray:
         return np.stack([np.array(values(message), np.float64) for message in steps])
 
+    def named(what: str) -> dict[str, np.ndarray]:
+        first = getattr(steps[0], what)
+        return {each.name: rows(lambda m, i=i: getattr(m, what)[i].values) for i, each in enumerate(first)}
+
     return Recording(
         header=header,
         xml=xml,
         time=rows(lambda m: m.time),
         qpos=rows(lambda m: m.qpos),
-        actions={a.name: rows(lambda m, i=i: m.actions[i].values) for i, a in enumerate(steps[0].actions)},
+        actions=named("actions"),
         reward=rows(lambda m: m.reward),
         score=rows(lambda m: m.score),
-        markers={a.name: rows(lambda m, i=i: m.markers[i].values) for i, a in enumerate(steps[0].markers)},
+        markers=named("markers"),
         events=[(event.step, event.text) for event in events],
+        terms=named("terms"),
     )
 
 
@@ -209,18 +215,18 @@ def _step_messages(recording: Recording) -> Iterator[Any]:
     Step, Named = _message_classes()["Step"], _message_classes()["Named"]
     time, qpos = recording.time.tolist(), recording.qpos.tolist()
     reward, score = recording.reward.tolist(), recording.score.tolist()
-    # By name, so that the order of a caller's dict does not change the file's digest.
-    actions = [(name, array.tolist()) for name, array in sorted(recording.actions.items())]
-    markers = [(name, array.tolist()) for name, array in sorted(recording.markers.items())]
+    named = {  # by name, so that the order of a caller's dict does not change the file's digest
+        what: [(name, array.tolist()) for name, array in sorted(getattr(recording, what).items())]
+        for what in ("actions", "markers", "terms")
+    }
     for t in range(recording.steps):
         yield Step(
             step=t,
             time=time[t],
             qpos=qpos[t],
-            actions=[Named(name=name, values=rows[t]) for name, rows in actions],
             reward=reward[t],
             score=score[t],
-            markers=[Named(name=name, values=rows[t]) for name, rows in markers],
+            **{what: [Named(name=name, values=rows[t]) for name, rows in arrays] for what, arrays in named.items()},
         )
 
 
@@ -266,6 +272,7 @@ def _message_classes() -> dict[str, Any]:
             ("reward", "double", many),
             ("score", "double", many),
             ("markers", "Named", many),
+            ("terms", "Named", many),
         ],
         "Event": [("step", "uint64", one), ("text", "string", one)],
     }

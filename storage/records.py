@@ -1,6 +1,7 @@
 """What the store holds, as values: frozen dataclasses that carry no connection and may be passed anywhere.
 
-Times are seconds since the epoch on the database's clock. Digests are SHA-256 in hexadecimal.
+Times are seconds since the epoch on the database's clock. Digests are SHA-256 in hexadecimal. Within a league a
+snapshot, like a player, is known by its name; its digest says which bytes it holds, and two may hold the same.
 """
 
 from collections.abc import Mapping
@@ -21,7 +22,6 @@ class League:
     """A named league of a store and the configuration it was created with or last run with."""
 
     name: str
-    arena: ArenaKey
     config: str  # TOML, as the user would write it
     created: float = 0.0
 
@@ -40,18 +40,28 @@ class Run:
 
 @dataclass(frozen=True)
 class Player:
-    """A learning lineage of a league for one team, e.g. `blue`, with a role such as `main`."""
+    """A learning lineage of a league for one team, e.g. `blue`, with a role such as `main`.
+
+    Players of one `group` learn together, at most one for each team. `setbacks` counts how often in a row its learning
+    has diverged and gone back to the last good checkpoint; a player that is `paused` learns no more, for that reason.
+    """
 
     league: str
     name: str
     team: int
     role: str
     roster: str  # see Snapshot.roster
+    group: str = "1"
+    setbacks: int = 0
+    paused: str | None = None
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A player's private resume state; the newest of a player is where it goes on."""
+    """A player's private resume state; the newest of a player, by iteration, is where it goes on.
+
+    Iteration, steps and seconds are the player's own.
+    """
 
     league: str
     player: str
@@ -59,23 +69,31 @@ class Checkpoint:
     step: int  # environment steps (decisions × worlds) learnt from
     iteration: int  # learning iterations done
     seconds: float  # time spent training
+    arena: ArenaKey | None = None  # what it learnt in last; None before it has learnt
     created: float = 0.0
+
+
+Origin = Literal["trained", "scripted", "imported"]
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A frozen policy for a whole roster: immutable, named by the hash of its bytes.
+    """A frozen policy for a whole roster: immutable. A scripted opponent is one too: its bytes name the script.
 
-    A scripted opponent is a snapshot too: its bytes name the script. `roster` says which sides it can play: the agents'
-    kinds with their observation and action sizes.
+    `roster` says which sides it can play: the agents' kinds with their observation and action sizes.
     """
 
-    digest: str
     league: str
-    name: str  # e.g. blue@16 (iteration 16) or script:pusher
+    name: str  # unique in its league, e.g. blue@16 (iteration 16) or pusher
+    digest: str  # of its bytes
     roster: str
-    player: str | None = None  # None for a scripted opponent
+    player: str | None = None  # the lineage it belongs to; None for a scripted or imported one
     script: str | None = None
+    origin: Origin = "trained"
+    parent: str | None = None  # name of the snapshot that it goes on from
+    initial: bool = False  # the policy that its player began with, by which progress is told
+    arena: ArenaKey | None = None  # what its player had learnt in
+    settings: str = ""  # the league's configuration (TOML) that was in force
     step: int = 0
     iteration: int = 0
     seconds: float = 0.0
@@ -98,13 +116,14 @@ class Match:
 
     `wins`, `draws` and `losses` count every valid episode; `side_*` count only those in which A played team 0, so that
     an arena's side advantage can be estimated. `pairs` counts the complete seed pairs (empty where sides were not
-    swapped). `voids` were stopped by unstable physics and count for nobody.
+    swapped). `voids` were stopped by unstable physics and count for nobody; `voids_a` and `voids_b` are those of them
+    in which only that side's robots went bad. In an arena of one team there is no B: a win is a success.
     """
 
     league: str
     arena: ArenaKey
-    a: str  # snapshot digests
-    b: str
+    a: str  # snapshot names
+    b: str | None
     wins: int
     draws: int
     losses: int
@@ -117,7 +136,34 @@ class Match:
     steps: int = 0  # environment steps simulated
     purpose: str = "rating"
     recording: str | None = None  # digest of an MCAP blob
-    id: int = 0
+    voids_a: int = 0
+    voids_b: int = 0
+    id: int = 0  # 1, 2, 3, ... in the order of commits, within the league
+    created: float = 0.0
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """What one learning iteration of one player was like. `values` holds figures by name, all finite."""
+
+    league: str
+    player: str
+    iteration: int  # done, so the first one is 1
+    step: int
+    seconds: float
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Who of a group learns now, since when, and what will end it. A group's phases are numbered 0, 1, 2, ..."""
+
+    league: str
+    group: str
+    number: int
+    learners: tuple[str, ...]  # players
+    since: Mapping[str, int]  # player -> its iteration when the phase began, for every player of the group
+    until: Mapping[str, Any] = field(default_factory=dict)  # e.g. {"iterations": 50}; empty: nothing ends it
     created: float = 0.0
 
 
@@ -126,15 +172,21 @@ JobState = Literal["queued", "leased", "done", "failed"]
 
 @dataclass(frozen=True)
 class Job:
-    """A unit of work: queued once under its key, leased to one worker at a time, finished once."""
+    """A unit of work: queued once under its key, leased to one worker at a time, finished once.
+
+    A job that failed waits until `not_before` and is tried again; after enough `failures` it is set aside in the state
+    `failed`, with its `error`, and the league goes on without it.
+    """
 
     league: str
-    kind: str  # train | match
+    kind: str  # see league/jobs.py
     key: str  # unique within the league: queueing the same key again changes nothing
     payload: Mapping[str, Any] = field(default_factory=dict)
     priority: int = 0  # larger first, then oldest first
     state: JobState = "queued"
     attempt: int = 0
+    failures: int = 0
+    not_before: float = 0.0
     holder: str | None = None
     lease_until: float | None = None
     error: str | None = None

@@ -1,0 +1,215 @@
+"""Leagues as rows that can be carried to another store: which rows and columns travel, and what they must be to arrive.
+
+What belongs to processes stays behind: workers, who leads, leases (a job that was being worked on waits again), a stop
+that was asked for. Numbers that a database gives (of runs, checkpoints, jobs) are given anew, in the same order.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
+from typing import Any, get_args
+
+import sqlalchemy as sa
+
+from storage import tables as t
+from storage.errors import StorageError
+from storage.records import Origin
+from storage.rows import NEWEST_CHECKPOINT
+
+TABLES: Mapping[str, sa.Table] = {
+    table.name: table
+    for table in (*(t.leagues, t.runs, t.players, t.checkpoints, t.snapshots, t.matches, t.curves, t.phases, t.jobs),)
+}
+"""Those that travel, each after those that its rows point to."""
+
+BATCH = 1000  # rows read or written at once
+
+_STAY = {
+    "leagues": {"stop_asked", "leader", "lead_until"},
+    "runs": {"id"},
+    "checkpoints": {"id"},
+    "jobs": {"id", "holder", "lease_until"},
+}
+_ORDER: Mapping[str, Sequence[sa.Column[Any]]] = {
+    "leagues": (t.leagues.c.created, t.leagues.c.name),
+    "runs": (t.runs.c.id,),
+    "players": (t.players.c.league, t.players.c.name),
+    "checkpoints": (t.checkpoints.c.id,),
+    "snapshots": (t.snapshots.c.league, t.snapshots.c.iteration, t.snapshots.c.name),
+    "matches": (t.matches.c.league, t.matches.c.id),
+    "curves": (t.curves.c.league, t.curves.c.player, t.curves.c.iteration),
+    "phases": (t.phases.c.league, t.phases.c.group, t.phases.c.number),
+    "jobs": (t.jobs.c.id,),
+}
+# What tells two rows of a table apart. A number at the end only grows over the rows that are alike before it.
+_KEYS: Mapping[str, tuple[str, ...]] = {
+    "leagues": ("name",), "players": ("league", "name"), "snapshots": ("league", "name"), "matches": ("league", "id"),
+    "curves": ("league", "player", "iteration"), "phases": ("league", "group", "number"), "jobs": ("league", "key"),
+}  # fmt: skip
+_POINTS: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "checkpoints": (("player", "players"),), "snapshots": (("player", "players"),),
+    "matches": (("a", "snapshots"), ("b", "snapshots")), "curves": (("player", "players"),),
+}  # fmt: skip
+BLOBS: Mapping[str, str] = {"checkpoints": "digest", "snapshots": "digest", "matches": "recording"}
+"""Tables whose rows name a blob, and in which column."""
+
+_WORDS: Mapping[tuple[str, str], tuple[str, ...]] = {
+    ("snapshots", "origin"): get_args(Origin),
+    ("jobs", "state"): ("queued", "done", "failed"),
+}
+_LISTS = {("phases", "learners")}
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+
+
+def columns(table: sa.Table) -> list[sa.Column[Any]]:
+    """The columns that travel."""
+    return [c for c in table.columns if c.name not in _STAY.get(table.name, ())]
+
+
+def dumped(
+    db: sa.Connection, table: sa.Table, leagues: Sequence[str], newest: bool, recordings: bool
+) -> Iterator[dict[str, Any]]:
+    """The rows of a table of those leagues, as they travel; of `newest` only where each player goes on."""
+    league = table.c.name if table is t.leagues else table.c.league
+    query = sa.select(*columns(table)).where(league.in_(leagues)).order_by(*_ORDER[table.name])
+    if table is t.checkpoints and newest:
+        c = table.c
+        rank = sa.func.row_number().over(partition_by=(c.league, c.player), order_by=NEWEST_CHECKPOINT)
+        ranked = sa.select(c.id, rank.label("rank")).subquery()
+        query = query.where(c.id.in_(sa.select(ranked.c.id).where(ranked.c.rank == 1)))
+    for row in db.execute(query, execution_options={"yield_per": BATCH}).mappings():
+        found = dict(row)
+        if table is t.jobs and found["state"] == "leased":
+            found["state"] = "queued"
+        if table is t.matches and not recordings:
+            found["recording"] = None
+        yield found
+
+
+def load(db: sa.Connection, table: sa.Table, rows: Iterable[Mapping[str, Any]]) -> int:
+    """Insert rows as they travel; how many. Raises StorageError for a league that is there already."""
+    source, count = iter(rows), 0
+    while batch := [dict(row) for row in islice(source, BATCH)]:
+        if table is t.leagues:
+            there = db.scalars(sa.select(t.leagues.c.name).where(t.leagues.c.name.in_([row["name"] for row in batch])))
+            refuse_those(list(there))
+        db.execute(sa.insert(table), batch)
+        count += len(batch)
+    return count
+
+
+def refuse_those(there: Sequence[str], where: str = "the store") -> None:
+    """Raise StorageError if there are leagues of names that are to be added."""
+    if there:
+        names = ", ".join(map(repr, sorted(there)))
+        raise StorageError(f"There is a league {names} in {where} already: --as gives the new one another name.")
+
+
+class Check:
+    """Whether rows that came from elsewhere can be rows of a store, one after the other, tables in the order of TABLES.
+
+    Every verb raises ValueError, with what is wrong.
+    """
+
+    def __init__(self, leagues: Iterable[str], blobs: Iterable[str]):
+        self.leagues, self.blobs = set(leagues), set(blobs)
+        self.named: set[str] = set()  # blobs
+        self._seen: dict[str, set[tuple]] = {name: set() for name in TABLES}
+        self._last: dict[tuple, int] = {}
+        self._matches: dict[str, int] = {}  # league -> the number of its last match
+
+    def row(self, name: str, number: int, row: Mapping[str, Any]) -> None:
+        """Check the row of that number, counted from 1, of a table."""
+        try:
+            self._row(name, row)
+        except ValueError as error:
+            raise ValueError(f"row {number} of {name}: {error}") from None
+
+    def end(self) -> None:
+        """Check what is known after the last row."""
+        if missing := self.leagues - {key[0] for key in self._seen["leagues"]}:
+            raise ValueError(f"no row tells of league {min(missing)!r}")
+        if unnamed := self.blobs - self.named:
+            raise ValueError(f"blob {min(unnamed)[:12]} is named by no row")
+
+    def _row(self, name: str, row: Mapping[str, Any]) -> None:
+        table = TABLES[name]
+        expected = {c.name for c in columns(table)}
+        if row.keys() != expected:
+            odd = sorted(row.keys() ^ expected)[0]
+            raise ValueError(f"{'unknown' if odd in row else 'missing'} column {odd!r}")
+        for column in columns(table):
+            try:
+                _value(column, row[column.name], name)
+            except ValueError as error:
+                raise ValueError(f"{column.name} {error}") from None
+        league = row["name" if table is t.leagues else "league"]
+        if league not in self.leagues:
+            raise ValueError(f"league {league!r} is not one that the manifest names")
+        self._alone(name, row)
+        for column, target in _POINTS.get(name, ()):
+            if row[column] is not None and (league, row[column]) not in self._seen[target]:
+                raise ValueError(f"{column} {row[column]!r} is none of the {target} of league {league!r}")
+        if (blob := row[BLOBS[name]] if name in BLOBS else None) is not None:
+            if blob not in self.blobs:
+                raise ValueError(f"{BLOBS[name]} {blob[:64]!r} is no blob of the archive")
+            self.named.add(blob)
+        if table is t.leagues:
+            self._matches[league] = row["matches"]
+        if table is t.matches and not 0 < row["id"] <= self._matches.get(league, 0):
+            raise ValueError(f"id {row['id']} is none of the {self._matches.get(league, 0)} that its league counts")
+
+    def _alone(self, name: str, row: Mapping[str, Any]) -> None:
+        """No two rows have one key."""
+        if name not in _KEYS:
+            return
+        key = tuple(row[column] for column in _KEYS[name])
+        if isinstance(key[-1], int):
+            if self._last.get((name, *key[:-1]), -1) >= key[-1]:
+                raise ValueError(f"{_KEYS[name][-1]} {key[-1]} does not follow the one before it")
+            self._last[name, *key[:-1]] = key[-1]
+        elif key in self._seen[name]:
+            raise ValueError(f"{key[-1]!r} is there twice")
+        else:
+            self._seen[name].add(key)
+
+
+def _value(column: sa.Column[Any], value: Any, table: str) -> None:
+    """Whether any database takes the value in that column; raises ValueError."""
+    kind = column.type
+    if value is None:
+        if not column.nullable:
+            raise ValueError("has no value")
+    elif isinstance(kind, sa.JSON):
+        wanted = list if (table, column.name) in _LISTS else dict
+        if not isinstance(value, wanted):
+            raise ValueError(f"is no JSON {'list' if wanted is list else 'object'}")
+    elif isinstance(kind, sa.Boolean):
+        if not isinstance(value, bool):
+            raise ValueError("is neither true nor false")
+    elif isinstance(kind, sa.Integer):
+        bits = 63 if isinstance(kind, sa.BigInteger) else 31
+        if not isinstance(value, int) or isinstance(value, bool) or not -(2**bits) <= value < 2**bits:
+            raise ValueError(f"is no whole number of {bits + 1} bits")
+    elif isinstance(kind, sa.Float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e300:
+            raise ValueError("is no number")
+        if not math.isfinite(value):
+            raise ValueError("is not finite")
+    else:
+        if not isinstance(value, str):
+            raise ValueError("is no text")
+        _text(value)
+        if (words := _WORDS.get((table, column.name))) and value not in words:
+            raise ValueError(f"{value[:40]!r} is none of {', '.join(words)}")
+
+
+def _text(value: str) -> None:
+    """Whether every database keeps the text: PostgreSQL has no null character, and UTF-8 no half of a pair."""
+    if "\0" in value:
+        raise ValueError("holds a null character")
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise ValueError("is no text in UTF-8") from None

@@ -1,0 +1,177 @@
+"""Opening a store's database: finding, making, migrating and refusing it."""
+
+import json
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import DBAPIError, NoSuchModuleError
+
+from storage import tables as t
+from storage.database import BUSY_SECONDS, plain_errors
+from storage.errors import NewerStore, NotAStore, OldStore, StorageError, disk_error
+from storage.places import shown
+
+
+def open_database(url: sa.URL, create: bool) -> sa.Engine:
+    """Connect to the store at `url`, making it if `create` and nothing is there, and bring its schema up to date.
+
+    Nothing is written to a store of today's schema, nor ever to a database that is something else. Transactions of
+    `engine.execution_options(writes=True)` take SQLite's write lock at once, the others read.
+
+    Raises NotAStore, OldStore, NewerStore, Away (no server now) or StorageError (no permission, no driver).
+    """
+    where = shown(url)
+    if url.get_backend_name() == "sqlite":
+        found = _look_at_file(url, create)
+        engine = _sqlite_engine(_file_url(Path(where), "rwc" if found == 0 else "rw"))
+    else:
+        engine, found = _server_engine(url, where), None
+    try:
+        with plain_errors(where):
+            if found is None:
+                found = _schema(engine, where)
+            if found == 0 and not create:
+                raise NotAStore(f"No league store at {where}: `league run` makes one.")
+            if found < t.newest_schema():
+                _migrate(engine)
+    except BaseException:
+        engine.dispose()
+        raise
+    return engine
+
+
+def _file_url(path: Path, mode: str) -> sa.URL:
+    return sa.URL.create("sqlite", database=path.as_uri(), query={"mode": mode, "uri": "true"})
+
+
+def _look_at_file(url: sa.URL, create: bool) -> int:
+    """The schema of the SQLite store at `url`, 0 if there is none yet and one may be made. Writes no database."""
+    where = shown(url)
+    path = Path(where)
+    try:
+        if not path.exists():
+            if not create:
+                raise NotAStore(f"No league store at {where}: `league run` makes one.")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            return 0
+        if path.is_dir():
+            raise NotAStore(f"{where} is a folder, not a database file: give the folder itself or a file in it.")
+    except OSError as error:
+        raise disk_error(f"Cannot {'make' if create else 'open'} a store at {where}", error) from error
+    engine = _sqlite_engine(_file_url(path, "ro"))
+    try:
+        with plain_errors(where):
+            return _schema(engine, where)
+    finally:
+        engine.dispose()
+
+
+def _schema(engine: sa.Engine, where: str) -> int:
+    """The schema of a store, 0 for an empty database; raises NotAStore, OldStore or NewerStore for anything else."""
+    found = None
+    try:
+        with engine.connect() as connection:
+            names = sa.inspect(connection).get_table_names()
+            if t.changes.name in names:
+                found = connection.scalar(sa.select(sa.func.max(t.changes.c.schema)))
+    except DBAPIError as error:
+        if "not a database" in str(error.orig):
+            raise NotAStore(f"{where} is not a league store, nor any SQLite database; it was left untouched.") from None
+        raise
+    if names and t.changes.name not in names:
+        raise NotAStore(f"{where} is a database of something else (it has {names[0]!r}); it was left untouched.")
+    if found is None:
+        return 0
+    if found < t.FIRST_SCHEMA:
+        raise OldStore(where, found, t.FIRST_SCHEMA)
+    if found > t.newest_schema():
+        raise NewerStore(where, found, t.newest_schema())
+    return found
+
+
+def _migrate(engine: sa.Engine) -> None:
+    """Bring the schema up to date, each change in one transaction with its own record. Safe to race."""
+    while True:
+        with engine.execution_options(writes=True).begin() as connection:
+            if connection.dialect.name == "postgresql":
+                connection.execute(sa.text("SELECT pg_advisory_xact_lock(hashtext('robot_league'))"))
+            has_record = sa.inspect(connection).has_table(t.changes.name)
+            schema = connection.scalar(sa.select(sa.func.max(t.changes.c.schema))) if has_record else None
+            if schema is None:
+                t.metadata.create_all(connection)
+                schema, change = t.newest_schema(), "created"
+            elif schema < t.newest_schema():
+                migration = t.MIGRATIONS[schema - t.FIRST_SCHEMA]
+                migration(connection)
+                schema, change = schema + 1, migration.__name__
+            else:
+                return
+            connection.execute(sa.insert(t.changes).values(schema=schema, change=change))
+
+
+# A server that vanishes without a word (a pulled cable, a stopped machine) is noticed within about a minute, and lets
+# go of what this process held within about as long; what a user gives in the URL wins.
+_SERVER: dict[str, str] = {
+    "connect_timeout": "10",
+    "keepalives_idle": "20",
+    "keepalives_interval": "10",
+    "keepalives_count": "3",
+    "tcp_user_timeout": "60000",  # ms
+}
+_SESSION = f"-c lock_timeout={BUSY_SECONDS}s -c idle_in_transaction_session_timeout={BUSY_SECONDS}s"
+
+
+def _to_json(value: object) -> str:
+    try:
+        return json.dumps(value, allow_nan=False)  # SQLite would keep a NaN as text that nobody else reads
+    except (TypeError, ValueError) as error:
+        raise StorageError(f"What a row shall hold is no JSON: {error}.") from error
+
+
+def _server_engine(url: sa.URL, where: str) -> sa.Engine:
+    given = url.query.get("options", "")
+    options = given if isinstance(given, str) else " ".join(given)
+    url = url.set(query={**_SERVER, **url.query, "options": f"{_SESSION} {options}".strip()})
+    try:
+        # Pre-ping: a connection that a restart of the server has cut is replaced before it is used.
+        return sa.create_engine(url, pool_pre_ping=True, json_serializer=_to_json)
+    except (ModuleNotFoundError, NoSuchModuleError) as error:
+        raise StorageError(f"{where} needs a driver: pip install 'robot-league[postgres]' ({error}).") from error
+
+
+def _write_ahead(connection: Any) -> None:
+    """Let readers and a writer work side by side, which the file remembers.
+
+    The switch needs the file alone, and for that SQLite does not wait by itself: others may be making the same store.
+    """
+    until = time.monotonic() + BUSY_SECONDS
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+
+
+def _sqlite_engine(url: sa.URL) -> sa.Engine:
+    engine = sa.create_engine(url, connect_args={"timeout": BUSY_SECONDS}, json_serializer=_to_json)
+
+    @event.listens_for(engine, "connect")
+    def _connect(connection: Any, _: Any) -> None:
+        connection.isolation_level = None  # the driver shall not begin transactions behind our back
+        connection.execute("PRAGMA foreign_keys = ON")
+        if url.query["mode"] == "rwc":
+            _write_ahead(connection)
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: sa.Connection) -> None:
+        # A transaction that reads first and writes later can fail half-way when another writer slips in between.
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get("writes") else "BEGIN")
+
+    return engine

@@ -1,0 +1,205 @@
+"""Records to rows and back, and the rules by which rows are added: what is there stays, or the whole is refused.
+
+The functions that take a connection are steps of a transaction of their caller's.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import sqlalchemy as sa
+
+from storage import tables as t
+from storage.errors import StorageError, UnknownName
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Job, Match, PairCounts, Phase, Player, Snapshot
+
+R = TypeVar("R")
+
+
+def columns(record: type, table: sa.Table) -> list[sa.Column[Any]]:
+    """The columns that a record is made of, in the order of its fields."""
+    return [table.c[name] for f in fields(record) for name in _SPREAD.get(f.name, (f.name,))]
+
+
+def record_from(record: type[R], row: Sequence[Any]) -> R:
+    """The record in a row of its `columns`; raises TypeError or ValueError where the row cannot be one."""
+    values = list(row)
+    for at, width, convert in _conversions(record):
+        values[at : at + width] = [convert(values[at : at + width])]
+    return record(*values)
+
+
+def row_of(record: Any, *without: str) -> dict[str, Any]:
+    """A record as the row to insert, less the fields `without`, which the database gives."""
+    row: dict[str, Any] = {}
+    for f in fields(record):
+        value = getattr(record, f.name)
+        if f.name in without:
+            continue
+        if f.name in _SPREAD:
+            row.update(zip(_SPREAD[f.name], value or [None] * len(_SPREAD[f.name]), strict=True))
+        elif isinstance(value, Mapping):
+            row[f.name] = dict(value)
+        else:
+            row[f.name] = list(value) if isinstance(value, tuple) else value
+    return row
+
+
+def insert_or(db: sa.Connection, table: sa.Table) -> Any:
+    """An INSERT that has `on_conflict_do_nothing` and `on_conflict_do_update`, in the connection's dialect."""
+    if db.dialect.name == "postgresql":
+        from sqlalchemy.dialects.postgresql import insert as dialect_insert
+    else:
+        from sqlalchemy.dialects.sqlite import insert as dialect_insert
+    return dialect_insert(table)
+
+
+def touch(db: sa.Connection, leagues: Iterable[str]) -> None:
+    """Begin a change of what planning reads: raise the leagues' revisions, and hold their rows until the commit.
+
+    So changes of one league happen one after another on every database, and what is numbered in them (matches) becomes
+    visible in the order of its numbers. Raises UnknownName.
+    """
+    c = t.leagues.c
+    for league in sorted(set(leagues)):
+        if db.execute(sa.update(t.leagues).where(c.name == league).values(revision=c.revision + 1)).rowcount == 0:
+            raise UnknownName("league", league, db.scalars(sa.select(c.name)))
+
+
+def add_players(db: sa.Connection, players: Sequence[Player]) -> int:
+    """Add those that are new; how many those were. Raises StorageError when one is there but is another."""
+    new = _add(db, t.players, map(row_of, players), unique=["league", "name"])
+    kept = _kept(db, t.players, players, "team", "role", "roster", "group")
+    for player in players:
+        asked = (player.team, player.role, player.roster, player.group)
+        if (known := kept[player.league, player.name]) != asked:
+            told = ("{1} of team {0} in group {3} ({2})".format(*values) for values in (known, asked))
+            raise StorageError("Player {!r} is {}, not {}: choose another name.".format(player.name, *told))
+    return new
+
+
+def add_snapshots(db: sa.Connection, snapshots: Sequence[Snapshot]) -> int:
+    """Add those that are new; how many those were. Raises StorageError when a name is there with other bytes."""
+    new = _add(db, t.snapshots, (row_of(s, "created") for s in snapshots), unique=["league", "name"])
+    kept = _kept(db, t.snapshots, snapshots, "digest")
+    for snapshot in snapshots:
+        (known,) = kept[snapshot.league, snapshot.name]
+        if known != snapshot.digest:
+            raise StorageError(
+                f"Snapshot {snapshot.name!r} of league {snapshot.league!r} holds other bytes ({known[:12]}, not "
+                f"{snapshot.digest[:12]}) and never changes: choose another name."
+            )
+    return new
+
+
+def add_checkpoints(db: sa.Connection, league: str, checkpoints: Sequence[Checkpoint], keep: int) -> None:
+    """Add them, and set their players' setbacks to 0; with `keep` > 0 only the newest so many of each player stay."""
+    if not checkpoints:
+        return
+    db.execute(sa.insert(t.checkpoints), [row_of(c, "created") for c in checkpoints])
+    players = {c.player for c in checkpoints}
+    c = t.players.c
+    db.execute(sa.update(t.players).where(c.league == league, c.name.in_(players)).values(setbacks=0))
+    for player in players if keep > 0 else ():
+        c = t.checkpoints.c
+        mine = (c.league == league, c.player == player)
+        newest = sa.select(c.id).where(*mine).order_by(*NEWEST_CHECKPOINT).limit(keep)
+        db.execute(sa.delete(t.checkpoints).where(*mine, c.id.not_in(newest)))
+
+
+def add_matches(db: sa.Connection, league: str, matches: Sequence[Match]) -> None:
+    """Append to the league's log, numbered on from its last match; the league has been touched."""
+    if not matches:
+        return
+    c = t.leagues.c
+    count = sa.update(t.leagues).where(c.name == league).values(matches=c.matches + len(matches))
+    last = db.execute(count.returning(c.matches)).scalar_one()
+    numbered = enumerate(matches, start=last - len(matches) + 1)
+    db.execute(sa.insert(t.matches), [row_of(match, "id", "created") | {"id": id} for id, match in numbered])
+
+
+def add_curves(db: sa.Connection, points: Sequence[CurvePoint]) -> None:
+    """Keep the points, each in the place of what its player has at that iteration; raises StorageError for a NaN."""
+    rows = []
+    for point in points:
+        values = {name: float(value) for name, value in point.values.items()}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                what = f"{name} of {point.player} at iteration {point.iteration} is {value}"
+                raise StorageError(f"{what}: only finite figures are kept in curves.")
+        rows.append(row_of(point) | {"values": values})
+    if rows:
+        put = insert_or(db, t.curves)
+        again = {name: put.excluded[name] for name in ("step", "seconds", "values")}
+        db.execute(put.on_conflict_do_update(index_elements=["league", "player", "iteration"], set_=again), rows)
+
+
+def add_phases(db: sa.Connection, phases: Sequence[Phase]) -> int:
+    """Add those whose number their group does not have yet; how many those were."""
+    return _add(db, t.phases, (row_of(p, "created") for p in phases), unique=["league", "group", "number"])
+
+
+def add_jobs(db: sa.Connection, jobs: Sequence[Job]) -> int:
+    """Add those whose key their league does not have yet, in any state; how many those were."""
+    rows = [
+        {"league": j.league, "kind": j.kind, "key": j.key, "payload": dict(j.payload), "priority": j.priority}
+        for j in jobs
+    ]
+    return _add(db, t.jobs, rows, unique=["league", "key"])
+
+
+NEWEST_CHECKPOINT = (t.checkpoints.c.iteration.desc(), t.checkpoints.c.id.desc())
+
+
+def _add(db: sa.Connection, table: sa.Table, rows: Iterable[Mapping[str, Any]], unique: list[str]) -> int:
+    if not (given := [dict(row) for row in rows]):
+        return 0
+    statement = insert_or(db, table).on_conflict_do_nothing(index_elements=unique)
+    return len(db.execute(statement.returning(table.c.league), given).all())
+
+
+def _kept(db: sa.Connection, table: sa.Table, given: Iterable[Any], *names: str) -> dict[tuple[str, str], tuple]:
+    """What the table has under the names of the records given: (league, name) -> the values of the columns asked."""
+    by_league: dict[str, set[str]] = {}
+    for record in given:
+        by_league.setdefault(record.league, set()).add(record.name)
+    kept: dict[tuple[str, str], tuple] = {}
+    for league, asked in by_league.items():
+        mine = (table.c.league == league, table.c.name.in_(asked))
+        query = sa.select(table.c.name, *(table.c[name] for name in names)).where(*mine)
+        kept |= {(league, row[0]): tuple(row[1:]) for row in db.execute(query)}
+    return kept
+
+
+# Fields that take several columns, and how a field is made from its columns where it is not the column's value.
+_SPREAD: dict[str, tuple[str, ...]] = {"arena": ArenaKey._fields, "pairs": PairCounts._fields}
+
+
+def _mapping(values: Sequence[Any]) -> Mapping[str, Any]:
+    (value,) = values
+    if not isinstance(value, dict):
+        raise TypeError(f"{value!r} is no JSON object")
+    return value
+
+
+_FROM: dict[str, Callable[[list[Any]], Any]] = {
+    "arena": lambda values: None if values[0] is None else ArenaKey._make(values),
+    "pairs": PairCounts._make,
+    "learners": lambda values: tuple(values[0]),
+    "initial": lambda values: bool(values[0]),
+    **dict.fromkeys(("payload", "values", "since", "until", "status", "versions"), _mapping),
+}
+
+
+@functools.cache
+def _conversions(record: type) -> list[tuple[int, int, Callable[[list[Any]], Any]]]:
+    """Where in a row which columns become one field; the last first, so that the places before stay true."""
+    found, at = [], 0
+    for f in fields(record):
+        width = len(_SPREAD.get(f.name, (f.name,)))
+        if f.name in _FROM:
+            found.append((at, width, _FROM[f.name]))
+        at += width
+    return found[::-1]
