@@ -14,10 +14,10 @@ import torch
 from jax import Array
 from torch import Tensor
 
-from agents.happo import Batch
-from agents.policy import Params, learned
+from agents.batch import Batch
+from agents.policy import Params
 from agents.rollout import Trajectory
-from arenas.arena import TeamSpec
+from arenas.state import TeamSpec
 
 
 def to_torch(array: Array) -> Tensor:
@@ -25,23 +25,44 @@ def to_torch(array: Array) -> Tensor:
     return torch.from_dlpack(array)
 
 
-def team_batch(trajectory: Trajectory, team: TeamSpec, index: int, worlds: slice | np.ndarray, shaping: float) -> Batch:
+def team_batch(
+    trajectory: Trajectory,
+    team: TeamSpec,
+    index: int,
+    worlds: slice | np.ndarray,
+    shaping: float,
+    blame: float = 1.0,
+    others: Sequence[TeamSpec] = (),
+) -> Batch:
     """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
 
-    The reward is the outcome plus `shaping` times the dense hints.
+    `others` are the teams whose observations its critic sees too.
+
+    The reward is the outcome plus `shaping` times the dense hints. Where the team's own robots made a world void, that
+    is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
+    For the other teams the decision stays void.
     """
+    own = trajectory.void[:, worlds] & trajectory.culprits[:, worlds, index]
     rewards = trajectory.reward[:, worlds, index] + shaping * trajectory.shaping[:, worlds, index]
 
-    def of_agents(values: Mapping[str, Array]) -> Sequence[Tensor]:
-        return [to_torch(values[agent.name][:, worlds]) for agent in team.agents]
+    def of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec] = (team,)) -> Sequence[Tensor]:
+        return [to_torch(values[agent.name][:, worlds]) for team in teams for agent in team.agents]
 
     return Batch(
         of_agents(trajectory.observations),
         of_agents(trajectory.next_observations),
         of_agents(trajectory.actions),
         of_agents(trajectory.log_probs),
-        to_torch(rewards),
-        *(to_torch(flag[:, worlds]) for flag in (trajectory.terminated, trajectory.truncated, trajectory.void)),
+        of_agents(trajectory.alive),
+        of_agents(trajectory.next_alive),
+        to_torch(jnp.where(own, -blame, rewards)),
+        to_torch(trajectory.terminated[:, worlds] | own),
+        to_torch(trajectory.truncated[:, worlds]),
+        to_torch(trajectory.void[:, worlds] & ~own),
+        of_agents(trajectory.observations, others),
+        of_agents(trajectory.next_observations, others),
+        of_agents(trajectory.alive, others),
+        of_agents(trajectory.next_alive, others),
     )
 
 
@@ -58,5 +79,5 @@ def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:
                 start += tensor.numel()
             else:
                 arrays[name] = jnp.asarray(tensor.cpu().numpy())
-        out.append(learned(arrays))
+        out.append(arrays)
     return out

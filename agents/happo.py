@@ -1,73 +1,35 @@
-"""HAPPO (Kuba et al., 2022; Zhong et al., 2024) for one team: an actor per agent, one critic, one value normaliser.
+"""HAPPO (Kuba et al., 2022; Zhong et al., 2024) and its variants for one team: actors, critics, value normalisers.
 
 The team's agents are updated one after the other. Each maximises the clipped surrogate of PPO on an advantage that is
 multiplied by M, the product of the probability ratios of the agents before it, so that every step improves the joint
-policy that those before it have already made.
+policy that those before it have already made. HATRPO does the same by trust region; MAPPO and IPPO leave M out, and in
+IPPO each agent has a critic of its own. Equal robots may share an actor, which then is updated once, from all they did.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from agents.networks import Actor, Architecture, Critic
-from agents.returns import ValueNorm, advantages
-
-
-@dataclass(frozen=True)
-class HappoConfig:
-    """The learner's settings; HARL-A's own values are in docs/learning.md."""
-
-    architecture: Architecture = field(default_factory=Architecture)
-    """Networks of actors and critics."""
-    lr: float = field(default=1e-3, metadata={"low": 0.0, "high": 1.0})
-    """Adam's step size for the actors."""
-    critic_lr: float = field(default=1e-3, metadata={"low": 0.0, "high": 1.0})
-    """Adam's step size for the critic."""
-    gamma: float = field(default=0.985, metadata={"low": 0.0, "high": 1.0})
-    """Discount per decision."""
-    lam: float = field(default=0.95, metadata={"low": 0.0, "high": 1.0})
-    """λ of the advantage estimate."""
-    clip: float = field(default=0.2, metadata={"low": 0.0, "high": 1.0})
-    """PPO's ε, for ratios and for values."""
-    entropy: float = field(default=0.005, metadata={"low": 0.0})
-    """Weight of the entropy bonus."""
-    epochs: int = field(default=4, metadata={"low": 1})
-    """Passes over each batch, for actors and critic."""
-    minibatches: int = field(default=4, metadata={"low": 1})
-    """Parts into which each pass splits the batch."""
-    max_grad_norm: float = field(default=0.5, metadata={"low": 0.0})
-    """Gradients are scaled down to this norm."""
-    huber_delta: float = field(default=10.0, metadata={"low": 0.0})
-    """Where the value loss turns from square to linear, in normalised units."""
-    initial_std: float = field(default=0.8, metadata={"low": 0.01, "high": 10.0})
-    """Standard deviation of a fresh policy's actions (HARL-A: 0.366)."""
-    value_norm: bool = True
-    """Normalise returns by their running mean and deviation (ValueNorm)."""
-    normalise_observations: bool = False
-    """Normalise observations by their running mean and deviation; the statistics are part of the policy."""
-    fixed_order: bool = False
-    """Update the agents in the team's order instead of a fresh random one each time (HARL-A: true)."""
-
-
-class Batch(NamedTuple):
-    """A team's experience of T decisions in N worlds, one entry per agent in the sequences."""
-
-    observations: Sequence[Tensor]  # (T, N, obs)
-    next_observations: Sequence[Tensor]  # (T, N, obs)
-    actions: Sequence[Tensor]  # (T, N, act)
-    log_probs: Sequence[Tensor]  # (T, N)
-    rewards: Tensor  # (T, N)
-    terminated: Tensor  # (T, N) bool
-    truncated: Tensor  # (T, N) bool
-    void: Tensor  # (T, N) bool: what this decision led to is unknown
+from agents import checkpoint
+from agents.actors import ActorLearner
+from agents.batch import Batch, Critique, Share
+from agents.checkpoint import State
+from agents.critics import CriticLearner
+from agents.networks import Actor, Critic
+from agents.optimise import Figures, moments, note
+from agents.settings import OBSERVATION_CLIP, HappoConfig
+from agents.trust_region import TrustRegionLearner
 
 
 class Learner:
-    """A team that learns, on `device` auto, cpu or cuda. Its whole state is `state()`, from which `load` goes on."""
+    """A team that learns, on `device` auto, cpu or cuda. Its whole state is `state()`, from which `load` goes on.
+
+    `kinds` are the agents' robots; agents of one kind and equal sizes are equal. Without them all are of one kind.
+    `others` are the observation sizes of the other teams' agents, in the order in which batches hold them.
+    """
 
     def __init__(
         self,
@@ -76,190 +38,222 @@ class Learner:
         config: HappoConfig,
         seed: int,
         device: str = "cpu",
+        kinds: Sequence[str] = (),
+        others: Sequence[int] = (),
     ):
-        self.config = config
+        self.config = c = config
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
         self.rng = torch.Generator().manual_seed(seed)
+        n, arch = len(observation_sizes), c.architecture
+        equal = list(zip(kinds or [""] * n, observation_sizes, action_sizes, strict=True))
+        self.leaders = [equal.index(e) if c.share_actors else i for i, e in enumerate(equal)]
+        together = {leader: [i for i in range(n) if self.leaders[i] == leader] for leader in sorted({*self.leaders})}
+        circles = [[i] for i in range(n)] if c.method == "ippo" else [list(range(n))]
+        sizes = [sum(observation_sizes[i] for i in circle) for circle in circles]
         with torch.random.fork_rng(devices=[]):  # nn.init draws from the global generator; leave that as it was
             torch.manual_seed(seed)
-            arch = config.architecture
-            sizes = zip(observation_sizes, action_sizes, strict=True)
-            self.actors = [Actor(o, a, arch, config.initial_std).to(self.device) for o, a in sizes]
-            self.critic = Critic(observation_sizes, arch).to(self.device)
-        self.value_norm = ValueNorm().to(self.device)
-        self.observation_count = torch.zeros(())
-        self.actor_optimizers = [_adam(actor, config.lr) for actor in self.actors]
-        self.critic_optimizer = _adam(self.critic, config.critic_lr)
+            actors = [Actor(*equal[leader][1:], arch, c.initial_std).to(self.device) for leader in together]
+            extra = others if c.critic_input == "all" else ()
+            critics = [Critic([size, *extra], arch).to(self.device) for size in sizes]
+        kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
+        self.actor_learners = [kind(a, agents, c) for a, agents in zip(actors, together.values(), strict=True)]
+        self.critic_learners = [CriticLearner(v, circle, c) for v, circle in zip(critics, circles, strict=True)]
+        self.observation_counts = torch.zeros(len(actors) + len(critics))  # of each actor, then of each critic
+        self.steps = torch.zeros((), dtype=torch.int64)  # decisions × worlds learnt from, where step sizes decay
+
+    @property
+    def actors(self) -> list[Actor]:
+        """Each agent's actor; those that share one have the same."""
+        by_leader = {learner.agents[0]: learner.network for learner in self.actor_learners}
+        return [by_leader[leader] for leader in self.leaders]
 
     def update(self, batch: Batch) -> dict[str, float]:
-        """One HAPPO update of every actor and of the critic; returns losses and diagnostics, means over the update.
+        """One update of every actor and critic; returns losses and diagnostics, means over the update.
 
-        Void decisions are left out: whatever they hold, the update is the same. Where all are void there is none.
+        Void decisions are left out: whatever they hold, the update is the same. Where all are void there is none. So
+        are the numbers of an agent that was not alive: its rows teach its actor nothing and leave M as it is, a
+        decision without any living agent is no part of Â's mean and deviation, and the critic sees zeros for it.
+        Raises Diverged where rewards, actions, log densities, losses, gradients or the state that results are not
+        finite; the state is then worthless, and `load` brings back one that is not.
         """
-        c = self.config
         valid = ~batch.void  # (T, N); below, x[valid] has one row for each of the B valid decisions
+        self._check_batch(batch)
         if not valid.any():
+            self._check_state()  # a policy that is not finite makes every world void
             return {}
-        team = torch.cat(list(batch.observations), -1)  # (T, N, all own observations)
-        with torch.no_grad():
-            predictions = self.critic(team)  # in normalised units, as all that the critic says
-            values = self._denormalise(predictions)
-            next_values = self._denormalise(self.critic(torch.cat(list(batch.next_observations), -1)))
-        A = advantages(
-            batch.rewards, values, next_values, batch.terminated, batch.truncated, batch.void, c.gamma, c.lam
-        )[valid]  # (B,)
-        values = values[valid]
-        returns = A + values
-        A_hat = (A - A.mean()) / (A.std(correction=0) + 1e-5)
+        critiques = [critic.criticise(batch, valid) for critic in self.critic_learners]
+        alive = [a[valid] for a in batch.alive]
+        A_hat = self._standardised(critiques, alive)
 
-        M = torch.ones_like(A)  # the ratios of the agents that have already moved, (B,)
-        stats: dict[str, list[Tensor]] = {}
-        for i in self._order():
-            obs, actions = batch.observations[i][valid], batch.actions[i][valid]
-            before = self._log_probs(i, obs, actions)
-            self._update_actor(i, obs, actions, batch.log_probs[i][valid], M * A_hat, stats)
-            M = M * torch.exp(self._log_probs(i, obs, actions) - before)
-        self._update_critic(team[valid], predictions[valid], returns, stats)
-        if c.normalise_observations:
-            self._observe([o[valid] for o in batch.observations])
-        spread = returns.var(correction=0).clamp(min=1e-8)
-        stats["explained_variance"] = [1 - (returns - values).var(correction=0) / spread]
-        return {name: float(torch.stack(x).mean()) for name, x in stats.items()}
+        M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, (B,)
+        decay, figures = self._decay(), Figures()
+        for k in self._order():
+            actor = self.actor_learners[k]
+            parts = [self._share(batch, valid, i, (M * A_hat[i])[alive[i]]) for i in actor.agents]
+            share = Share(*(torch.cat(x) for x in zip(*parts, strict=True))) if len(parts) > 1 else parts[0]
+            if not len(share.actions):
+                continue  # out of the game all the time
+            before = actor.log_probs(share)
+            actor.update(share, decay, self.rng, figures)
+            if self.config.method in ("happo", "hatrpo"):
+                ratios = torch.exp(actor.log_probs(share) - before).split([len(p.actions) for p in parts])
+                for i, ratio in zip(actor.agents, ratios, strict=True):
+                    M[alive[i]] *= ratio
+        for critic, critique in zip(self.critic_learners, critiques, strict=True):
+            critic.update(critique, decay, self.rng, figures)
+        if self.config.normalise_observations:
+            self._observe(batch, valid, critiques)
+        self._pace(batch, decay, figures)
+        return self._read(figures)
 
-    @torch.no_grad()
-    def _log_probs(self, i: int, obs: Tensor, actions: Tensor) -> Tensor:
-        """Log densities of the actions under agent i's present policy."""
-        return self.actors[i](obs).log_prob(actions).sum(-1)
+    def update_critic_only(self, batch: Batch) -> dict[str, float]:
+        """The critics' share of `update`, for a team whose policy rests: its values follow what others learn meanwhile.
 
-    def _update_actor(
-        self,
-        i: int,
-        obs: Tensor,
-        actions: Tensor,
-        old: Tensor,
-        MA: Tensor,
-        stats: dict[str, list[Tensor]],
-    ) -> None:
-        """Clipped surrogate of PPO on M·Â, an entropy bonus, `epochs` × `minibatches` steps of Adam."""
-        c, actor = self.config, self.actors[i]
-        for rows in self._minibatches(len(obs)):
-            policy = actor(obs[rows])
-            ratio = torch.exp(policy.log_prob(actions[rows]).sum(-1) - old[rows])
-            surrogate = torch.min(ratio * MA[rows], ratio.clamp(1 - c.clip, 1 + c.clip) * MA[rows])
-            entropy = policy.entropy().sum(-1).mean()
-            loss = -surrogate.mean() - c.entropy * entropy
-            self._step(self.actor_optimizers[i], actor, loss)
-            _note(stats, policy_loss=loss, entropy=entropy, ratio=ratio.mean())
+        Actors and observation statistics, which are part of the policy, stay as they are. Raises Diverged as `update`.
+        """
+        valid = ~batch.void
+        self._check_batch(batch)
+        if not valid.any():
+            self._check_state()
+            return {}
+        figures = Figures()
+        for critic in self.critic_learners:
+            critic.update(critic.criticise(batch, valid), self._decay(), self.rng, figures)
+        return self._read(figures)
 
-    def _update_critic(self, team: Tensor, old: Tensor, returns: Tensor, stats: dict[str, list[Tensor]]) -> None:
-        """Clipped value loss under Huber, on returns that the normaliser has just seen."""
-        c = self.config
-        for rows in self._minibatches(len(team)):
-            if c.value_norm:
-                self.value_norm.update(returns[rows])
-            target, value = self._normalise(returns[rows]), self.critic(team[rows])
-            clipped = old[rows] + (value - old[rows]).clamp(-c.clip, c.clip)
-            loss = torch.max(self._huber(target - value), self._huber(target - clipped)).mean()
-            self._step(self.critic_optimizer, self.critic, loss)
-            _note(stats, value_loss=loss)
+    def _standardised(self, critiques: Sequence[Critique], alive: Sequence[Tensor]) -> list[Tensor]:
+        """Each agent's Â (B,): the team's, with the mean and deviation of the decisions in which anybody took part.
 
-    def _step(self, optimizer: torch.optim.Adam, module: nn.Module, loss: Tensor) -> None:
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        nn.utils.clip_grad_norm_(module.parameters(), self.config.max_grad_norm)
-        optimizer.step()
+        In IPPO its own critic's, with those of the decisions in which it took part itself.
+        """
+
+        def standardised(A: Tensor, acted: Tensor) -> Tensor:
+            there = A[acted]
+            return (A - there.mean()) / (there.std(correction=0) + 1e-5) if len(there) else A
+
+        if self.config.method == "ippo":
+            return [standardised(critique.advantages, a) for critique, a in zip(critiques, alive, strict=True)]
+        return [standardised(critiques[0].advantages, torch.stack(list(alive)).any(0))] * len(alive)
+
+    def _share(self, batch: Batch, valid: Tensor, i: int, MA: Tensor) -> Share:
+        """The decisions that agent i took part in, and what they were good for."""
+        own = batch.alive[i] & valid  # (T, N)
+        return Share(batch.observations[i][own], batch.actions[i][own], batch.log_probs[i][own], MA)
 
     def _order(self) -> list[int]:
-        n = len(self.actors)
+        n = len(self.actor_learners)
         return list(range(n)) if self.config.fixed_order else torch.randperm(n, generator=self.rng).tolist()
 
-    def _minibatches(self, size: int) -> list[Tensor]:
-        """Row indices: `epochs` random splits into `minibatches` parts."""
+    def _decay(self) -> float:
+        """What is left of the step sizes."""
+        span = self.config.decay_steps
+        return max(0.0, 1.0 - self.steps.item() / span) if span else 1.0
+
+    def _pace(self, batch: Batch, decay: float, figures: Figures) -> None:
+        """Count the steps where step sizes decay, and tell the step size where it changes."""
         c = self.config
-        splits = (
-            torch.randperm(size, generator=self.rng).to(self.device).chunk(c.minibatches) for _ in range(c.epochs)
-        )
-        return [rows for split in splits for rows in split]
-
-    def _huber(self, error: Tensor) -> Tensor:
-        """e²/2 inside δ, δ(|e| − δ/2) outside."""
-        return nn.functional.huber_loss(error, torch.zeros_like(error), reduction="none", delta=self.config.huber_delta)
-
-    def _normalise(self, returns: Tensor) -> Tensor:
-        return self.value_norm.normalise(returns) if self.config.value_norm else returns
-
-    def _denormalise(self, values: Tensor) -> Tensor:
-        return self.value_norm.denormalise(values) if self.config.value_norm else values
+        if c.decay_steps:
+            self.steps += batch.rewards.numel()
+        if c.decay_steps or c.kl_step is not None:
+            for actor in (a for a in self.actor_learners if a.optimizer):
+                note(figures, lr=(actor.lr * decay).float().to(self.device))
 
     @torch.no_grad()
-    def _observe(self, observations: Sequence[Tensor]) -> None:
-        """Merge observations (B, obs) into the running statistics (Chan et al., 1979), after they were learnt from."""
-        n = len(observations[0])
-        weight = n / (float(self.observation_count) + n)
-        self.observation_count += n
-        trunks = [*(actor.trunk for actor in self.actors), self.critic.trunk]
-        for trunk, obs in zip(trunks, [*observations, torch.cat(list(observations), -1)], strict=True):
+    def _observe(self, batch: Batch, valid: Tensor, critiques: Sequence[Critique]) -> None:
+        """Merge what actors saw, each (B_i, obs), and what critics saw into the running statistics (Chan et al., 1979),
+        after they were learnt from.
+        """
+        rows = [[batch.observations[i][batch.alive[i] & valid] for i in a.agents] for a in self.actor_learners]
+        seen = [*(torch.cat(r) for r in rows), *(critique.seen for critique in critiques)]
+        trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
+        for k, (trunk, obs) in enumerate(zip(trunks, seen, strict=True)):
+            if not (n := len(obs)):
+                continue
+            weight = n / (float(self.observation_counts[k]) + n)
+            self.observation_counts[k] += n
             gap = obs.mean(0) - trunk.observation_mean
             var = trunk.observation_var
             var += weight * (obs.var(0, correction=0) - var) + weight * (1 - weight) * gap**2
             trunk.observation_mean += weight * gap
+            trunk.observation_clip.fill_(OBSERVATION_CLIP)  # from now on there is something to normalise by
+
+    # Whether all is finite -------------------------------------------------------------------------------------------
+
+    def _check_batch(self, batch: Batch) -> None:
+        """Raise Diverged where a valid decision holds what no update can learn from; nothing has changed by then."""
+        held = {"rewards": batch.rewards}
+        for i, alive in enumerate(batch.alive):
+            held[f"agent {i}'s actions"] = batch.actions[i].sum(-1).where(alive, 0.0)  # finite where all of them are
+            held[f"agent {i}'s log densities"] = batch.log_probs[i].where(alive, 0.0)
+        sound = torch.stack([(x.isfinite() | batch.void).all() for x in held.values()])
+        checkpoint.refuse([name for name, ok in zip(held, sound.tolist(), strict=True) if not ok])
+
+    def _check_state(self) -> None:
+        """Raise Diverged where weights, Adam's moments or normalisers are not finite."""
+        checkpoint.check_finite(self._tensors(), self.device)
+
+    def _read(self, figures: Figures) -> dict[str, float]:
+        """The figures' means, fetched at once when all is done. Raises Diverged where they or the state are not finite.
+
+        Reading them also keeps tensors that are views of JAX's buffers alive until torch has finished with them.
+        """
+        means = torch.stack([torch.stack(x).mean() for x in figures.values()]).tolist()
+        found = dict(zip(figures, means, strict=True))
+        checkpoint.refuse([name for name, value in found.items() if not math.isfinite(value)])
+        self._check_state()
+        return found
 
     # State -----------------------------------------------------------------------------------------------------------
 
     def policies(self) -> list[dict[str, Tensor]]:
-        """Each actor's state dict, which is its policy; the tensors are live."""
+        """Each agent's actor's state dict, which is its policy; the tensors are live."""
         return [{k: v.detach() for k, v in actor.state_dict().items()} for actor in self.actors]
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that going on needs: weights, optimisers, normalisers, random numbers."""
-        arrays = {name: tensor.detach().cpu().numpy().copy() for name, tensor in self._tensors().items()}
-        return {**arrays, "rng": self.rng.get_state().numpy().copy()}
+        return checkpoint.write(self._tensors(), self.rng)
 
-    def load(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from `state()`. Raises ValueError naming what is missing, of another shape or another activation."""
+    def load(self, state: State) -> None:
+        """Go on from `state()`.
+
+        Raises ValueError naming what is missing, of another shape, activation or kind of policy, or not finite; then
+        nothing changed.
+        """
         tensors = self._tensors()
-        wrong = [k for k, t in tensors.items() if k not in state or np.shape(state[k]) != tuple(t.shape)]
-        fixed = [f"actor.{i}.activation" for i in range(len(self.actors))]
-        wrong += [k for k in fixed if k not in wrong and state[k] != tensors[k].item()]
-        wrong += ["rng"] if "rng" not in state else []
-        if wrong:
-            raise ValueError(f"the checkpoint does not fit this learner: {', '.join(wrong[:3])} ({len(wrong)} in all)")
-        with torch.no_grad():
-            for name, tensor in tensors.items():
-                tensor.copy_(torch.from_numpy(np.array(state[name])))
-        self.rng.set_state(torch.from_numpy(np.array(state["rng"])))
+        fixed = [k for k in tensors if k.endswith((".activation", ".squash")) or k == "sharing"]
+        checkpoint.read(tensors, fixed, self.rng, state)
 
-    def _optimized(self) -> list[tuple[torch.optim.Adam, nn.Module]]:
-        return [*zip(self.actor_optimizers, self.actors, strict=True), (self.critic_optimizer, self.critic)]
+    def inherit(self, actors: Sequence[tuple[State, int] | None], critic: State | None) -> None:
+        """Begin with weights of other learners: for each agent `state()` and the number of an agent there, or None.
+
+        An actor brings its deviation and what it knows of observations, and so do critics, with their value
+        normalisers. What is None stays as it is, and so do optimisers, step counts and random numbers. Agents that
+        share an actor go on from what is given for the first of them. Raises ValueError as `load` does.
+        """
+        state = self.state()
+        for i, source in enumerate(actors):
+            if source is not None and self.leaders[i] == i:
+                state = checkpoint.with_actor(state, i, *source)
+        self.load(checkpoint.with_critics(state, critic) if critic is not None else state)
 
     def _tensors(self) -> dict[str, Tensor]:
-        """Every tensor of the state by name."""
-        modules = {**{f"actor.{i}": a for i, a in enumerate(self.actors)}, "critic": self.critic}
-        tensors = {f"{m}.{k}": v for m, module in modules.items() for k, v in module.state_dict().items()}
-        tensors |= {f"value_norm.{k}": v for k, v in self.value_norm.state_dict().items()}
-        tensors["observation_count"] = self.observation_count
-        for name, (optimizer, module) in zip(modules, self._optimized(), strict=True):
-            for parameter_name, parameter in module.named_parameters():
-                moments = optimizer.state[parameter]
-                tensors |= {f"adam.{name}.{parameter_name}.{k}": v for k, v in moments.items()}
+        """Every tensor of the state by name. A setting that is off adds none."""
+        alone = len(self.critic_learners) == 1
+        named = {f"actor.{actor.agents[0]}": actor for actor in self.actor_learners}
+        named |= {"critic" if alone else f"critic.{i}": critic for i, critic in enumerate(self.critic_learners)}
+        tensors = {f"{m}.{k}": v for m, learner in named.items() for k, v in learner.network.state_dict().items()}
+        for i, critic in enumerate(self.critic_learners):
+            name = "value_norm" if alone else f"value_norm.{i}"
+            tensors |= {f"{name}.{k}": v for k, v in critic.value_norm.state_dict().items()}
+        tensors["observation_counts"] = self.observation_counts
+        for name, learner in named.items():
+            tensors |= moments(f"adam.{name}", learner.network, learner.optimizer)
+            if isinstance(learner, ActorLearner) and self.config.kl_step is not None:
+                tensors[f"adam.{name}.lr"] = learner.lr
+        if self.config.decay_steps:
+            tensors["steps"] = self.steps
+        if self.config.share_actors:
+            tensors["sharing"] = torch.tensor(self.leaders)
         return tensors
-
-
-def _adam(module: nn.Module, lr: float) -> torch.optim.Adam:
-    """Adam with its moments made at once, where it would make them at its first step: a fresh state is complete too."""
-    optimizer = torch.optim.Adam(module.parameters(), lr=lr, eps=1e-5, foreach=True)
-    for parameter in module.parameters():
-        optimizer.state[parameter] = {
-            "step": torch.zeros(()),
-            "exp_avg": torch.zeros_like(parameter),
-            "exp_avg_sq": torch.zeros_like(parameter),
-        }
-    return optimizer
-
-
-def _note(stats: dict[str, list[Tensor]], **values: Tensor) -> None:
-    """Keep values on the device: reading each one would make the GPU wait a hundred times an update."""
-    for name, value in values.items():
-        stats.setdefault(name, []).append(value.detach())

@@ -3,40 +3,26 @@
 Trunk and heads are HARL's (Zhong et al., 2024): optional LayerNorm on the input, then Linear → activation → optional
 LayerNorm for each hidden layer; orthogonal weights, zero biases, a small last layer. The standard deviation does not
 depend on the state: σ = sigmoid(λ / x) · y with λ = x at the start; HARL's x = 1, y = 0.5 give σ = 0.366. Here x = 1
-and y follows from the wanted first σ, so that σ stays within (0, y).
+and y follows from the wanted first σ, so that σ stays within (0, y). Where it shall depend on the state, λ is a second
+last layer that begins at x.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
-Activation = Literal["tanh", "relu", "elu"]
-ACTIVATIONS: tuple[Activation, ...] = ("tanh", "relu", "elu")
+from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
+
 _GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_gain; elu has none there
 _APPLY = {"tanh": torch.tanh, "relu": torch.relu, "elu": nn.functional.elu}
 LAST_LAYER_GAIN = 0.01
-
-
-@dataclass(frozen=True)
-class Architecture:
-    """The shape of a network, shared by a league's actors and critics."""
-
-    hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers."""
-    activation: Activation = "tanh"
-    """Non-linearity after each hidden layer."""
-    layer_norm: bool = False
-    """LayerNorm on the input and after each hidden layer, as HARL has it."""
-
-    def __post_init__(self) -> None:
-        """Refuse widths below 1."""
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"hidden: {list(self.hidden)} must be at least one width, each 1 or more")
+NODES = 16  # of the quadrature of a squashed policy's entropy
+NO_CLIP = torch.finfo(torch.float32).max
 
 
 class Trunk(nn.Module):
@@ -44,6 +30,7 @@ class Trunk(nn.Module):
 
     observation_mean: Tensor  # (n,)
     observation_var: Tensor  # (n,)
+    observation_clip: Tensor  # () what observations are held within once they are normalised
 
     def __init__(self, size: int, architecture: Architecture):
         super().__init__()
@@ -54,13 +41,15 @@ class Trunk(nn.Module):
         self.norm = nn.ModuleList(nn.LayerNorm(w) for w in widths if architecture.layer_norm)
         self.register_buffer("observation_mean", torch.zeros(size))
         self.register_buffer("observation_var", torch.ones(size))
+        self.register_buffer("observation_clip", torch.tensor(NO_CLIP))
         for layer in layers:
             nn.init.orthogonal_(layer.weight, _GAIN[architecture.activation])
             nn.init.zeros_(layer.bias)
 
     def forward(self, x: Tensor) -> Tensor:
         """Features of observations."""
-        x = (x - self.observation_mean) / torch.sqrt(self.observation_var + 1e-8)
+        x = (x - self.observation_mean) / torch.sqrt(self.observation_var.clamp(min=VARIANCE_FLOOR))
+        x = x.clamp(-self.observation_clip, self.observation_clip)
         x = self.norm[0](x) if self.norm else x
         for i, layer in enumerate(self.hidden):
             x = self._apply_activation(layer(x))
@@ -69,30 +58,82 @@ class Trunk(nn.Module):
 
 
 class Actor(nn.Module):
-    """A diagonal Gaussian over actions, neither squashed nor clipped; the robot clips what it is told."""
+    """A diagonal Gaussian over actions, squashed where the architecture says so; else the robot clips what it is told.
+
+    Which parameters and buffers there are tells the policy in JAX what kind it is: `squash`, and `deviation` instead of
+    `std_logit`.
+    """
 
     std_scale: Tensor  # () y
     activation: Tensor  # () int, an index into ACTIVATIONS: this is how the policy in JAX learns of it
+    squash: Tensor  # () the limit of squashed actions
+    nodes: Tensor  # (NODES,) of the quadrature of their entropy, a mean over a standard normal variable
+    weights: Tensor  # (NODES,) and how much each counts
 
     def __init__(self, observation_size: int, action_size: int, architecture: Architecture, initial_std: float):
         super().__init__()
         self.trunk = Trunk(observation_size, architecture)
         self.mean = nn.Linear(architecture.hidden[-1], action_size)
-        self.std_logit = nn.Parameter(torch.ones(action_size))
+        if architecture.state_std:
+            self.deviation = nn.Linear(architecture.hidden[-1], action_size)
+        else:
+            self.std_logit = nn.Parameter(torch.ones(action_size))
         self.register_buffer("std_scale", torch.tensor(initial_std / torch.sigmoid(torch.tensor(1.0)).item()))
         self.register_buffer("activation", torch.tensor(ACTIVATIONS.index(architecture.activation), dtype=torch.int32))
+        if architecture.squash is not None:
+            self.register_buffer("squash", torch.tensor(float(architecture.squash)))
+            nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+            self.register_buffer("nodes", torch.tensor(nodes).float(), persistent=False)
+            self.register_buffer("weights", torch.tensor(weights / weights.sum()).float(), persistent=False)
         nn.init.orthogonal_(self.mean.weight, LAST_LAYER_GAIN)
         nn.init.zeros_(self.mean.bias)
+        if architecture.state_std:
+            nn.init.orthogonal_(self.deviation.weight, LAST_LAYER_GAIN)
+            nn.init.ones_(self.deviation.bias)
+        self._squashed, self._state_std = architecture.squash is not None, architecture.state_std
 
-    def forward(self, observations: Tensor) -> Normal:
-        """The distribution of actions (..., action_size) given observations (..., observation_size)."""
-        std = torch.sigmoid(self.std_logit) * self.std_scale
-        mean = self.mean(self.trunk(observations))
+    def gaussian(self, observations: Tensor) -> Normal:
+        """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
+        features = self.trunk(observations)
+        mean = self.mean(features)
+        logit = self.deviation(features) if self._state_std else self.std_logit
+        std = torch.sigmoid(logit) * self.std_scale
         return Normal(mean, std.expand_as(mean), validate_args=False)
+
+    def forward(self, observations: Tensor) -> "Normal | Squashed":
+        """The distribution of actions (..., action_size) given observations (..., observation_size)."""
+        gaussian = self.gaussian(observations)
+        return Squashed(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
+
+
+class Squashed:
+    """c·tanh(u / c) of a diagonal Gaussian u, for a limit c: near 0 it is u, and it never leaves ±c."""
+
+    def __init__(self, gaussian: Normal, limit: Tensor, nodes: Tensor, weights: Tensor):
+        self.gaussian, self.limit, self._nodes, self._weights = gaussian, limit, nodes, weights
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """Log densities (..., action_size) of actions: that of u, less log du → da = log(1 − (a / c)²).
+
+        An action at the limit, where no number has a density, counts as a little less (SQUASH_EDGE).
+        """
+        share = (actions * self.limit.reciprocal()).clamp(-SQUASH_EDGE, SQUASH_EDGE)  # rounds alike in JAX
+        outer, inner = torch.log1p(share), torch.log1p(-share)
+        u = 0.5 * self.limit * (outer - inner)  # c·atanh(a / c)
+        return self.gaussian.log_prob(u) - outer - inner
+
+    def entropy(self) -> Tensor:
+        """Entropy (..., action_size): that of u, and the mean of log da/du, by Gauss-Hermite quadrature.
+
+        log(1 − tanh² x) = 2 (log 2 − x − softplus(−2x)), which loses no digits far from 0.
+        """
+        x = (self.gaussian.mean[..., None] + self.gaussian.stddev[..., None] * self._nodes) / self.limit
+        slope = 2 * (math.log(2) - x - nn.functional.softplus(-2 * x))
+        return self.gaussian.entropy() + (slope * self._weights).sum(-1)
 
 
 class Critic(nn.Module):
-    """The team's value from the concatenated observations of its own agents, in normalised units (see ValueNorm)."""
+    """The team's value from the concatenated observations of some agents, in normalised units (see ValueNorm)."""
 
     def __init__(self, observation_sizes: Sequence[int], architecture: Architecture):
         super().__init__()

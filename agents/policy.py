@@ -1,50 +1,93 @@
 """Policies as JAX sees them: a flat dict of arrays under torch's parameter names, and pure functions of it.
 
-A policy that is *scripted* has the one leaf `script`, the number of the arena's script plus one; a learned one has
-`script` 0. Stacked policies carry a leading axis K: K opponents act in one call, each for its own group of worlds.
+A `Crew` says who acts for one agent in K groups of worlds: a learned policy, of whatever network shape, or one of the
+scripts of the agent's kind. All of a crew act in one call.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
+from arenas.robots.robot import Script
+
 Params = dict[str, Array]
 
-_ACTIVATIONS = (jnp.tanh, jax.nn.relu, jax.nn.elu)  # in the order of networks.ACTIVATIONS
-LEARNED = 0
+_ACTIVATIONS = (jnp.tanh, jax.nn.relu, jax.nn.elu)  # in the order of settings.ACTIVATIONS
+
+
+class Crew(NamedTuple):
+    """Who acts for one agent in each of K groups of worlds. Make one with `crew`.
+
+    Policies of one network shape are stacked in one part, with zeros in the groups of others. That keeps every group's
+    arrays in place whoever sits there, so a compiled rollout serves all crews of the same shapes.
+    """
+
+    parts: tuple[Params, ...]  # one for each network shape, its arrays (K, ...)
+    part: Array  # (K,) int32: the part that a group's policy is in
+    script: Array | None  # (K,) int32: 0 is a learned policy, n the agent's script n - 1; None: no scripts at all
 
 
 def learned(arrays: Mapping[str, np.ndarray | Array]) -> Params:
-    """A learned policy from an actor's state dict."""
-    return {**{k: jnp.asarray(v) for k, v in arrays.items()}, "script": jnp.asarray(LEARNED, jnp.int32)}
+    """A policy from an actor's state dict."""
+    return {k: jnp.asarray(v) for k, v in arrays.items()}
 
 
-def scripted(number: int) -> Params:
-    """The arena's script `number`, counted from 0."""
-    return {"script": jnp.asarray(number + 1, jnp.int32)}
+def crew(policies: Sequence[Params | int], also: Sequence[Params | int] = ()) -> Crew:
+    """Seat K policies, one for each group of worlds: a learned one, or the number of a script, counted from 0.
 
-
-def stack(policies: Sequence[Params]) -> Params:
-    """K policies along a new first axis; a scripted one is filled up with zeros in the shapes of its learned peers.
-
-    Raises ValueError if two learned policies differ in their shapes, and so cannot act in one batch.
+    Each network shape makes one part, and is evaluated for all worlds. Nothing but the set of shapes, and whether there
+    are scripts, makes a rollout compile anew: for what `also` names a place is kept though nobody sits there now.
     """
-    template: Params = {}
-    for policy in policies:
-        shapes = {k: v.shape for k, v in policy.items()}
-        if len(policy) > 1 and template and shapes != {k: v.shape for k, v in template.items()}:
-            raise ValueError("policies of different network shapes cannot act in one batch: give each its own batch")
-        template = policy if len(policy) > 1 else template
-    filled = [{**{k: jnp.zeros_like(v) for k, v in template.items()}, **policy} for policy in policies]
-    return {k: jnp.stack([policy[k] for policy in filled]) for k in filled[0]}
+    shapes = sorted({_shape(p) for p in (*policies, *also) if not isinstance(p, int)})
+    part = [0 if isinstance(p, int) else shapes.index(_shape(p)) for p in policies]
+    columns = []
+    for number, shape in enumerate(shapes):
+        nobody = {name: np.zeros(size, dtype) for name, size, dtype in shape}
+        columns.append(
+            tuple(nobody if isinstance(p, int) or at != number else p for p, at in zip(policies, part, strict=True))
+        )
+    scripts = None
+    if any(isinstance(p, int) for p in (*policies, *also)):
+        scripts = jnp.asarray([p + 1 if isinstance(p, int) else 0 for p in policies], jnp.int32)
+    return Crew(tuple(_stack(column) for column in columns), jnp.asarray(part, jnp.int32), scripts)
+
+
+def act(members: Crew, observations: Array, keys: Array, scripts: Sequence[Script] = ()) -> tuple[Array, Array]:
+    """Actions (N, act) and log densities (N,) for observations (N, obs) and one key for each world (N,).
+
+    The N worlds are K equal groups, one after the other. A script's density is 0. Learned policies are evaluated for
+    all worlds; a script only for the groups in which it sits.
+    """
+    groups = members.part.shape[0]
+    seen, dice = observations.reshape(groups, -1, observations.shape[-1]), keys.reshape(groups, -1)
+    if members.parts:
+        action, log_prob = _learned_actions(members, seen, dice)
+    else:
+        like = jax.eval_shape(scripts[0], observations[0], keys[0])
+        action, log_prob = jnp.zeros((*dice.shape, *like.shape), like.dtype), jnp.zeros(dice.shape)
+    if members.script is not None:
+        branches = [lambda seen, dice, *own: own, *(_by(script) for script in scripts)]
+        action, log_prob = jax.lax.map(
+            lambda group: jax.lax.switch(group[0], branches, *group[1:]),
+            (members.script, seen, dice, action, log_prob),
+        )
+    return action.reshape(-1, action.shape[-1]), log_prob.reshape(-1)
 
 
 def distribution(params: Params, observations: Array) -> tuple[Array, Array]:
-    """Mean (n, act) and standard deviation (act,) of the actions for observations (n, obs)."""
-    x = (observations - params["trunk.observation_mean"]) / jnp.sqrt(params["trunk.observation_var"] + 1e-8)
+    """Mean (n, act) and standard deviation of the Gaussian of actions for observations (n, obs), before any squashing.
+
+    The deviation is (act,), or (n, act) where the policy makes it depend on what is seen.
+    """
+    x = (observations - params["trunk.observation_mean"]) / jnp.sqrt(
+        jnp.maximum(params["trunk.observation_var"], VARIANCE_FLOOR)
+    )
+    x = jnp.clip(x, -params["trunk.observation_clip"], params["trunk.observation_clip"])
     x = _layer_norm(params, 0, x)
     layers = sum(name.startswith("trunk.hidden.") and name.endswith(".weight") for name in params)
     for i in range(layers):
@@ -52,15 +95,63 @@ def distribution(params: Params, observations: Array) -> tuple[Array, Array]:
         x = jax.lax.switch(params["activation"], _ACTIVATIONS, x)
         x = _layer_norm(params, i + 1, x)
     mean = _linear(x, params["mean.weight"], params["mean.bias"])
-    return mean, jax.nn.sigmoid(params["std_logit"]) * params["std_scale"]
+    if "deviation.weight" in params:
+        logit = _linear(x, params["deviation.weight"], params["deviation.bias"])
+    else:
+        logit = params["std_logit"]
+    return mean, jax.nn.sigmoid(logit) * params["std_scale"]
 
 
 def sample(params: Params, observations: Array, keys: Array) -> tuple[Array, Array]:
     """Actions (n, act) and their log densities (n,) for observations (n, obs) and one key per world (n,)."""
     mean, std = distribution(params, observations)
     noise = jax.vmap(lambda key: jax.random.normal(key, mean.shape[-1:]))(keys)
+    if "squash" in params:
+        return _squashed(mean, std, mean + std * noise, params["squash"])
     log_density = -0.5 * noise**2 - jnp.log(std) - 0.5 * jnp.log(2 * jnp.pi)
     return mean + std * noise, log_density.sum(axis=-1)
+
+
+def _squashed(mean: Array, std: Array, drawn: Array, limit: Array) -> tuple[Array, Array]:
+    """Actions limit·tanh(drawn / limit) and their log densities (n,), from the rounded action, as torch will have it.
+
+    Far out an action has few digits left to say which number was drawn, so that the two densities would differ. Without
+    the barrier XLA may compute tanh twice, and round it once this way and once that.
+    """
+    share = jnp.clip(jnp.tanh(drawn / limit), -SQUASH_EDGE, SQUASH_EDGE)
+    actions = jax.lax.optimization_barrier(limit * share)
+    share = jnp.clip(actions * (1.0 / limit), -SQUASH_EDGE, SQUASH_EDGE)  # a product rounds alike everywhere
+    outer, inner = jnp.log1p(share), jnp.log1p(-share)
+    z = (0.5 * limit * (outer - inner) - mean) / std
+    log_density = -0.5 * z**2 - jnp.log(std) - 0.5 * jnp.log(2 * jnp.pi) - outer - inner
+    return actions, log_density.sum(axis=-1)
+
+
+def _learned_actions(members: Crew, seen: Array, dice: Array) -> tuple[Array, Array]:
+    """Actions (K, n, act) and densities (K, n), each group's from the part that its policy is in."""
+    answers = [jax.vmap(sample)(params, seen, dice) for params in members.parts]
+    action, log_prob = answers[0]
+    for number, (other, density) in enumerate(answers[1:], start=1):
+        here = (members.part == number)[:, None]
+        action = jnp.where(here[..., None], other, action)
+        log_prob = jnp.where(here, density, log_prob)
+    return action, log_prob
+
+
+def _by(script: Script) -> Callable[..., tuple[Array, Array]]:
+    """A group's actions (n, act) and densities (n,) by a script, in place of a learned policy's."""
+    return lambda seen, dice, action, log_prob: (jax.vmap(script)(seen, dice), jnp.zeros_like(log_prob))
+
+
+def _shape(policy: Params) -> tuple[tuple[str, tuple[int, ...], str], ...]:
+    """What two policies must share to be stacked: names, sizes and types of their arrays."""
+    return tuple((name, tuple(policy[name].shape), str(policy[name].dtype)) for name in sorted(policy))
+
+
+@jax.jit
+def _stack(policies: tuple[Params, ...]) -> Params:
+    """One after the other along a new first axis; in one call, for each array on its own would cost ten times that."""
+    return jax.tree.map(lambda *arrays: jnp.stack(arrays), *policies)
 
 
 def _linear(x: Array, weight: Array, bias: Array) -> Array:

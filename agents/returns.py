@@ -33,7 +33,13 @@ def advantages(
 
 
 class ValueNorm(nn.Module):
-    """Running mean and variance of returns with a bias correction, as HARL's: β = 0.99999, variance at least 0.01."""
+    """Running mean and variance of returns with a bias correction, as HARL's: β = 0.99999, variance at least 0.01.
+
+    Before it has seen a return it says mean 0 and deviation 1: the critic's units are then those of the reward, as they
+    are without a normaliser. HARL says 0.1 there, not by choice: its floor for the variance meets sums that are still
+    0. It matters to the values of the very first batch alone, for the critic learns from normalised returns only after
+    they were seen.
+    """
 
     mean_sum: Tensor  # ()
     square_sum: Tensor  # ()
@@ -54,7 +60,7 @@ class ValueNorm(nn.Module):
         self.weight.mul_(self.beta).add_(1 - self.beta)
 
     def statistics(self) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation now; 0 and 1 before the first update."""
+        """Mean and standard deviation (), in units of reward; 0 and 1 before the first update."""
         weight = self.weight.clamp(min=1e-12)  # asking whether it is 0 would make the GPU wait
         mean = self.mean_sum / weight
         std = torch.sqrt((self.square_sum / weight - mean**2).clamp(min=0.01))

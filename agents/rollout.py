@@ -1,18 +1,31 @@
 """Collecting experience and playing matches, each one jitted `lax.scan`: nothing leaves the device per step.
 
 T decisions, N worlds, K opponents: worlds are split into K groups of N/K, and in group k each agent acts with the k-th
-of its stacked policies.
+policy of its crew.
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from agents.policy import Params, sample
-from arenas.arena import Arena, Frames, Script, State
+from agents.policy import Crew, act
+from arenas.arena import Arena
+from arenas.robots.robot import Script
+from arenas.state import Frames, State
+
+CUT_DICE = 0x7FFFFFFF  # the same key places the robots: an arena that splits it gets the keys of small numbers
+
+
+class Worlds(NamedTuple):
+    """N worlds that live on from one rollout to the next."""
+
+    state: State
+    age: Array  # (N,) int32: decisions taken in the present episode
+    left: Array  # (N,) int32: decisions until this episode, the first one here, is cut short; 0: it is not
 
 
 class Trajectory(NamedTuple):
@@ -22,12 +35,17 @@ class Trajectory(NamedTuple):
     next_observations: dict[str, Array]  # (T, N, obs) that followed, before any new episode began
     actions: dict[str, Array]  # (T, N, act)
     log_probs: dict[str, Array]  # (T, N)
+    alive: dict[str, Array]  # (T, N) bool: the agent took part in this decision
+    next_alive: dict[str, Array]  # (T, N) bool: and in the state that followed
     reward: Array  # (T, N, teams) outcome
     shaping: Array  # (T, N, teams) dense hints
-    score: Array  # (T, N, teams), meaningful where the episode ended
+    score: Array  # (T, N, teams), meaningful where the episode ended and was not cut
     terminated: Array  # (T, N) bool
-    truncated: Array  # (T, N) bool
+    truncated: Array  # (T, N) bool, also where it was cut
     void: Array  # (T, N) bool
+    culprits: Array  # (T, N, teams) bool: whose robots made it void; none where that cannot be told
+    cut: Array  # (T, N) bool: cut short so that worlds do not end together; its score counts for nobody
+    age: Array  # (T, N) int32: decisions of the episode so far, this one included
 
 
 class Games(NamedTuple):
@@ -35,6 +53,7 @@ class Games(NamedTuple):
 
     score: Array  # (N, teams)
     void: Array  # (N,) bool
+    culprits: Array  # (N, teams) bool: whose robots made it void; none where that cannot be told
     decisions: Array  # (N,) int: the length of each episode
     frames: Frames  # (T, hold, R, ...)
     actions: dict[str, Array]  # (T, R, act)
@@ -42,54 +61,89 @@ class Games(NamedTuple):
     running: Array  # (T, R) bool: the episode was still on before this decision
 
 
+Act = Callable[[Mapping[str, Crew], dict[str, Array], Array], tuple[dict[str, Array], dict[str, Array]]]
+
+
 def make_rollout(arena: Arena, length: int) -> jax.stages.Wrapped:
-    """Compile the training rollout: `rollout(policies, state, key) -> (state, trajectory)`.
+    """Compile the training rollout: `rollout(crews, worlds, key) -> (worlds, trajectory)` of `length` decisions.
 
-    `policies` are stacked per agent (K, ...), `state` is a batch of N worlds, a multiple of K. Finished worlds begin
-    anew at once.
+    `crews` are by agent name, N is a multiple of their K groups. Finished worlds begin anew at once. The buffers of
+    `worlds` are used up.
     """
-    act = _make_act(arena)
+    decide = _make_act(arena)
 
-    def rollout(policies: Mapping[str, Params], state: State, key: Array) -> tuple[State, Trajectory]:
-        worlds = state.done.shape[0]
+    def by_agent(alive: Array) -> dict[str, Array]:
+        return {agent.name: alive[:, i] for i, agent in enumerate(arena.agents)}
 
-        def decision(state: State, key: Array) -> tuple[State, Trajectory]:
+    def rollout(crews: Mapping[str, Crew], worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
+        number = worlds.age.shape[0]
+
+        def decision(worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
+            state = worlds.state
             act_key, place_key = jax.random.split(key)
-            actions, log_probs = act(policies, state.observations, jax.random.split(act_key, worlds))
+            actions, log_probs = decide(crews, state.observations, jax.random.split(act_key, number))
             after = jax.vmap(arena.step)(state, actions)
-            verdict = after.verdict
+            verdict, age = after.verdict, worlds.age + 1
+            cut = (worlds.left == 1) & ~after.done
+            over = after.done | cut
             step = Trajectory(
-                state.observations, after.observations, actions, log_probs, verdict.reward, verdict.shaping,
-                verdict.score, verdict.terminated, verdict.truncated, after.void,
+                state.observations, after.observations, actions, log_probs,
+                by_agent(state.alive), by_agent(after.alive), verdict.reward, verdict.shaping, verdict.score,
+                verdict.terminated, verdict.truncated | cut, after.void, after.culprits, cut, age,
             )  # fmt: skip
-            keys = jax.random.split(place_key, worlds)
-            return jax.vmap(arena.restart)(after, keys, after.done), step
+            fresh = jax.vmap(arena.restart)(after, jax.random.split(place_key, number), over)
+            left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))
+            return Worlds(fresh, jnp.where(over, 0, age), left), step
 
-        return jax.lax.scan(decision, state, jax.random.split(key, length))
+        return jax.lax.scan(decision, worlds, jax.random.split(key, length))
 
-    return jax.jit(rollout, donate_argnums=1)
-
-
-def make_reset(arena: Arena) -> Callable[[Array], State]:
-    """Compile `reset(keys (N,)) -> State` of N fresh worlds."""
-    return jax.jit(jax.vmap(arena.reset))
+    return _compiled(rollout, donate_argnums=1)
 
 
-def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> Callable[[Mapping[str, Params], Array], Games]:
-    """Compile a match: `play(policies, keys (N,)) -> Games`, one whole episode in every world.
+def make_reset(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
+    """Compile `reset(keys (N,)) -> Worlds` of N fresh worlds.
+
+    Worlds that begin together would end together, and every few iterations a batch would hold little but the ends of
+    episodes. With `stagger` each first episode is cut after a number of decisions drawn evenly up to the longest.
+    """
+
+    def reset(keys: Array) -> Worlds:
+        left = _cuts(arena, keys) if stagger else jnp.zeros(keys.shape[0], jnp.int32)
+        return Worlds(jax.vmap(arena.reset)(keys), jnp.zeros(keys.shape[0], jnp.int32), left)
+
+    return _compiled(reset)
+
+
+def make_restart(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
+    """Compile `restart(worlds, keys (N,), where (N,) bool) -> Worlds`: chosen worlds begin anew, as after `make_reset`.
+
+    For worlds whose opponents changed: half an episode against one and half against another is neither's game. What was
+    under way there is lost. The buffers of `worlds` are used up.
+    """
+
+    def restart(worlds: Worlds, keys: Array, where: Array) -> Worlds:
+        state = jax.vmap(arena.restart)(worlds.state, keys, where)
+        left = _cuts(arena, keys) if stagger else jnp.zeros_like(worlds.left)
+        return Worlds(state, jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left))
+
+    return _compiled(restart, donate_argnums=0)
+
+
+def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrapped:
+    """Compile a match: `play(crews, keys (N,)) -> Games`, one whole episode in every world.
 
     Every world plays exactly one episode, so that short episodes do not count more often than long ones. A world's key
     fixes its start and its dice; worlds with equal keys are a seed pair. `recorded` are the worlds to keep frames of.
     """
-    act = _make_act(arena)
+    decide = _make_act(arena)
     kept = jnp.asarray(recorded, jnp.int32)
 
-    def play(policies: Mapping[str, Params], keys: Array) -> Games:
+    def play(crews: Mapping[str, Crew], keys: Array) -> Games:
         start, dice = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 2))(keys), 1, 0)
 
         def decision(state: State, t: Array) -> tuple[State, tuple]:
             keys = jax.vmap(lambda key: jax.random.fold_in(key, t))(dice)
-            actions, _ = act(policies, state.observations, keys)
+            actions, _ = decide(crews, state.observations, keys)
             after, frames = jax.vmap(arena.step_with_frames)(state, actions)
             watched = (
                 jax.tree.map(lambda x: jnp.moveaxis(x[kept], 0, 1), frames),
@@ -103,41 +157,70 @@ def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> Callable[[Mapping
         state, ((frames, actions, reward, running), on) = jax.lax.scan(
             decision, state, jnp.arange(arena.timing.decisions)
         )
-        return Games(state.verdict.score, state.void, on.sum(axis=0), frames, actions, reward, running)
+        return Games(
+            state.verdict.score, state.void, state.culprits, on.sum(axis=0), frames, actions, reward, running
+        )  # fmt: skip
 
-    return jax.jit(play)
+    return _compiled(play)
 
 
-def _make_act(arena: Arena) -> Callable[[Mapping[str, Params], dict[str, Array], Array], tuple[dict, dict]]:
-    """act(policies, observations, keys (N,)) -> (actions, log_probs) by agent name."""
-    scripts = tuple(arena.scripts().values())
+def outcomes(trajectory: Trajectory, index: int, worlds: slice | np.ndarray) -> dict[str, float]:
+    """How a team fared in its `worlds`: figures for its learning curve, all finite.
 
-    def act(policies: Mapping[str, Params], observations: dict[str, Array], keys: Array) -> tuple[dict, dict]:
+    `reward` and `shaping` are means per decision that was not void. `episodes` counts those that ended by the rules;
+    their mean `score` and `length` in decisions are there only if one did. `voids` counts the void ones, `own_voids`
+    those that the team's own robots made so.
+    """
+    whole = (trajectory.terminated | trajectory.truncated)[:, worlds] & ~trajectory.cut[:, worlds]
+    void = trajectory.void[:, worlds]
+    own = void & trajectory.culprits[:, worlds, index]
+
+    def total(values: Array, where: Array) -> Array:
+        return jnp.where(where, values, 0).sum()
+
+    score, reward, shaping = (x[:, worlds, index] for x in (trajectory.score, trajectory.reward, trajectory.shaping))
+    found = jnp.stack([
+        whole.sum(), void.sum(), own.sum(), total(score, whole), total(trajectory.age[:, worlds], whole),
+        total(reward, ~void), total(shaping, ~void),
+    ])  # fmt: skip
+    episodes, voids, own_voids, *sums = np.asarray(found).tolist()
+    decisions = max(void.size - voids, 1)
+    figures = {
+        "episodes": episodes, "voids": voids, "own_voids": own_voids,
+        "reward": sums[2] / decisions, "shaping": sums[3] / decisions,
+    }  # fmt: skip
+    return {**figures, "score": sums[0] / episodes, "length": sums[1] / episodes} if episodes else figures
+
+
+def scripts_of(arena: Arena, kind: str) -> dict[str, Script]:
+    """The scripts that a robot of this kind can play, by name; their places are their numbers in a crew."""
+    return {name: kinds[kind] for name, kinds in arena.scripts().items() if kind in kinds}
+
+
+def _compiled(function: Callable, **options: Any) -> jax.stages.Wrapped:
+    """`jax.jit` on this process's device. Arrays that came over from torch are bound to it and others are not: left to
+    itself, JAX compiles anew for every mix of the two.
+    """
+    return jax.jit(function, in_shardings=jax.sharding.SingleDeviceSharding(jax.devices()[0]), **options)
+
+
+def _cuts(arena: Arena, keys: Array) -> Array:
+    """Decisions (N,) until a first episode is cut, drawn evenly up to the longest episode."""
+    own = jax.vmap(lambda key: jax.random.fold_in(key, CUT_DICE))(keys)
+    return jax.vmap(lambda key: jax.random.randint(key, (), 1, arena.timing.decisions + 1))(own)
+
+
+def _make_act(arena: Arena) -> Act:
+    """decide(crews, observations, keys (N,)) -> (actions, log_probs) by agent name."""
+    scripts = {agent.kind: tuple(scripts_of(arena, agent.kind).values()) for agent in arena.agents}
+
+    def decide(crews: Mapping[str, Crew], observations: dict[str, Array], keys: Array) -> tuple[dict, dict]:
         actions, log_probs = {}, {}
         for i, agent in enumerate(arena.agents):
-            params, seen = policies[agent.name], observations[agent.name]
-            groups = params["script"].shape[0]
             own = jax.vmap(lambda key: jax.random.fold_in(key, i))(keys)  # noqa: B023  (called at once)
-            decide = jax.vmap(lambda p, o, k: _decide(p, o, k, scripts, agent.action_size))  # noqa: B023  (called at once)
-            a, lp = decide(params, seen.reshape(groups, -1, seen.shape[-1]), own.reshape(groups, -1))
-            actions[agent.name], log_probs[agent.name] = a.reshape(-1, a.shape[-1]), lp.reshape(-1)
+            actions[agent.name], log_probs[agent.name] = act(
+                crews[agent.name], observations[agent.name], own, scripts[agent.kind]
+            )
         return actions, log_probs
 
-    return act
-
-
-def _decide(
-    params: Params, observations: Array, keys: Array, scripts: tuple[Script, ...], size: int
-) -> tuple[Array, Array]:
-    """Actions (n, act) and log densities (n,) of one policy, learned or scripted; a script's density is 0."""
-    if "mean.weight" in params:
-        action, log_prob = sample(params, observations, keys)
-    else:
-        action, log_prob = jnp.zeros((len(observations), size)), jnp.zeros(len(observations))
-    if not scripts:
-        return action, log_prob
-    said = jnp.stack([jax.vmap(script)(observations, keys) for script in scripts])  # (scripts, n, act)
-    number = params["script"]
-    by_script = number > 0
-    chosen = said[jnp.maximum(number - 1, 0)]
-    return jnp.where(by_script, chosen, action), jnp.where(by_script, 0.0, log_prob)
+    return decide

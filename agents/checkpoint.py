@@ -1,0 +1,92 @@
+"""A learner's state as named arrays: writing it, reading it back, and what is refused."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from agents.errors import Diverged
+
+State = Mapping[str, np.ndarray]
+NETWORKS = ("actor.", "critic.")  # what begins so is a network's: one number too many is another network
+
+
+def write(tensors: Mapping[str, Tensor], rng: torch.Generator) -> dict[str, np.ndarray]:
+    """Copies of all tensors, and the state of the random numbers."""
+    arrays = {name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()}
+    return {**arrays, "rng": rng.get_state().numpy().copy()}
+
+
+def read(tensors: Mapping[str, Tensor], fixed: Collection[str], rng: torch.Generator, state: State) -> None:
+    """Write a state over the tensors and the random numbers.
+
+    `fixed` names what a state must agree in, as activation functions. Raises ValueError naming what is missing, of
+    another shape, not known here or not finite; then nothing changed.
+    """
+    wrong = [k for k, t in tensors.items() if k not in state or np.shape(state[k]) != tuple(t.shape)]
+    wrong += [k for k in fixed if k not in wrong and not np.array_equal(state[k], tensors[k].cpu().numpy())]
+    wrong += [k for k in state if k not in tensors and k.startswith(NETWORKS)]
+    wrong += ["rng"] if "rng" not in state else []
+    if wrong:
+        raise ValueError(f"the checkpoint does not fit this learner: {', '.join(wrong[:3])} ({len(wrong)} in all)")
+    bad = [k for k in tensors if not np.isfinite(state[k]).all()]
+    if bad:
+        raise ValueError(f"the checkpoint is not finite in {', '.join(bad[:3])} ({len(bad)} in all)")
+    with torch.no_grad():
+        for name, tensor in tensors.items():
+            tensor.copy_(torch.from_numpy(np.array(state[name])))
+    rng.set_state(torch.from_numpy(np.array(state["rng"])))
+
+
+def check_finite(tensors: Mapping[str, Tensor], device: torch.device) -> None:
+    """Raise Diverged where a tensor on the device holds a number that is not finite, naming the first of them."""
+    floats = {k: t for k, t in tensors.items() if t.is_floating_point()}
+    here = {k: t for k, t in floats.items() if t.device.type == device.type}  # Adam counts steps on the CPU
+    if not torch.cat([t.detach().flatten() for t in here.values()]).isfinite().all():
+        refuse([name for name, t in here.items() if not t.isfinite().all()])
+
+
+def refuse(bad: Sequence[str]) -> None:
+    """Raise Diverged naming the first of what is bad, if anything is."""
+    if bad:
+        more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
+        raise Diverged(f"not finite: {', '.join(bad[:3])}{more}")
+
+
+# Whose numbers are whose ---------------------------------------------------------------------------------------------
+
+
+def leaders(state: State, agents: int) -> list[int]:
+    """For each agent of a state the one whose name its actor has: itself, unless equal robots share one."""
+    return state["sharing"].tolist() if "sharing" in state else list(range(agents))
+
+
+def with_actor(state: State, i: int, given: State, j: int) -> dict[str, np.ndarray]:
+    """The state with agent i's actor, and what it knows of observations, as agent j's was in another learner."""
+    mine, theirs = (leaders(s, _agents(s)) for s in (state, given))
+    here, there = mine[i], theirs[j]
+    new = {k.replace(f".{there}.", f".{here}.", 1): v for k, v in given.items() if k.startswith(f"actor.{there}.")}
+    counts = state["observation_counts"].copy()
+    counts[_place(mine, here)] = given["observation_counts"][_place(theirs, there)]
+    return {**state, **new, "observation_counts": counts}
+
+
+def with_critics(state: State, given: State) -> dict[str, np.ndarray]:
+    """The state with another learner's critics, their value normalisers and what they know of observations."""
+    new = {k: v for k, v in given.items() if k.startswith(("critic.", "value_norm."))}
+    own, other = (len(set(leaders(s, _agents(s)))) for s in (state, given))
+    counts, theirs = state["observation_counts"].copy(), given["observation_counts"][other:]
+    if len(theirs) == len(counts) - own:  # else the names of the critics differ too, which `read` refuses
+        counts[own:] = theirs
+    return {**state, **new, "observation_counts": counts}
+
+
+def _agents(state: State) -> int:
+    """How many agents a state without shared actors has."""
+    return len({k.split(".")[1] for k in state if k.startswith("actor.")})
+
+
+def _place(leading: Sequence[int], agent: int) -> int:
+    """Which of the observation counts is that of an actor."""
+    return sorted(set(leading)).index(agent)
