@@ -1,4 +1,4 @@
-"""Bodies and rules: games with physics, one per file, behind one contract. Knows nothing of learning.
+"""Bodies and rules: games, most of them with physics, behind one contract. Knows nothing of learning.
 
 `names()` lists the arenas, `settings(name)` gives an arena's settings, `load(name)` builds it. An arena of your own
 needs no registration: `path/to/duel.py:duel` names the arena `duel` of a file, `package.module:duel` that of a module.
@@ -14,9 +14,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Unpack
 
 if TYPE_CHECKING:
-    from arenas.arena import Arena, Settings, Where
+    from arenas.arena import Arena
+    from arenas.options import Settings, Where
 
-MODULES = ("arenas.sumo",)
+MODULES = ("arenas.sumo", "arenas.soccer", "arenas.galaga", "arenas.pursuit", "arenas.matrix")
 
 
 def names() -> list[str]:
@@ -31,7 +32,7 @@ def known() -> dict[str, "Settings"]:
 
 def settings(name: str) -> "Settings":
     """An arena's default settings. Raises ArenaError, one line with what exists, for an unknown name."""
-    from arenas.arena import ArenaError
+    from arenas.errors import ArenaError
 
     where, _, own = name.rpartition(":")
     found = {s.name: s for s in _module(where).ARENAS} if where else known()
@@ -49,7 +50,7 @@ def load(name: str, **where: Unpack["Where"]) -> "Arena":
 
 def _module(where: str) -> ModuleType:
     """The module at a path or of a name; it lists its arenas' settings in `ARENAS`."""
-    from arenas.arena import ArenaError
+    from arenas.errors import ArenaError
 
     if where.endswith(".py"):
         module = _file(Path(where))
@@ -71,7 +72,7 @@ def _file(path: Path) -> ModuleType:
     It is listed in `sys.modules`, where dataclasses and the settings look for its types and for the notes under its
     fields, by its whole path, so that it hides no module of the same name.
     """
-    from arenas.arena import ArenaError
+    from arenas.errors import ArenaError
 
     if not path.is_file():
         raise ArenaError(f"no arena file {path}: give a path such as my/duel.py:duel")

@@ -7,169 +7,84 @@ control step. What a game decided first stays: later control steps of the same d
 
 import hashlib
 import json
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol, TypedDict, Unpack
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, Unpack, final
 
 import jax
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from jax import Array
 
-from arenas.engines import Engine, EngineName, Law, Physics, make_engine
-from arenas.robots.robot import Robot
+from arenas.about import Legend, Part
+from arenas.engines import make_engine
+from arenas.errors import ArenaError
+from arenas.options import Solver, Timing, Where
+from arenas.physics import Engine, Law, Physics, sound, stackable
+from arenas.props import Prop
+from arenas.robots.robot import Body, Robot, Script
 from arenas.scene import Scene, build
+from arenas.starts import drawn
+from arenas.state import AgentSpec, Frames, State, TeamSpec, Verdict, begun, counted, finite, merged, undecided
 
-Script = Callable[[Array, Array], Array]  # (observation (obs,), key) -> action (act,)
-
-
-class ArenaError(Exception):
-    """A wrong arena name, setting or contract; the message is one line for the user."""
-
-
-@dataclass(frozen=True)
-class AgentSpec:
-    """One robot of a team: its name is its MJCF prefix, the key of its observation and its path in the viewer."""
-
-    name: str  # e.g. blue/0
-    kind: str
-    observation_size: int
-    action_size: int
-
-
-@dataclass(frozen=True)
-class TeamSpec:
-    """One side of an arena: a fixed roster of agents."""
-
-    name: str
-    agents: tuple[AgentSpec, ...]
-
-    @property
-    def roster(self) -> str:
-        """What a policy must fit to play this side, e.g. `leatherback:38:2+leatherback:38:2`."""
-        return "+".join(f"{a.kind}:{a.observation_size}:{a.action_size}" for a in self.agents)
-
-
-class Verdict(NamedTuple):
-    """What a game says after a control step. *Reward* is for learning; *score* decides matches.
-
-    `terminated`: the game is over and the future is worth nothing. `truncated`: it was cut and the future still has
-    value. Where neither holds, `score` is ignored.
-    """
-
-    reward: Array  # (teams,) the outcome as a reward, summed over a decision's control steps
-    shaping: Array  # (teams,) dense hints, which a learner may anneal away
-    score: Array  # (teams,) 1 win, ½ draw, 0 loss
-    terminated: Array  # () bool
-    truncated: Array  # () bool
-
-
-class State(NamedTuple):
-    """One world between two decisions."""
-
-    physics: Physics
-    game: Any  # the game's own pytree
-    observations: dict[str, Array]  # agent name -> (observation_size,)
-    actions: dict[str, Array]  # the last ones, agent name -> (action_size,)
-    verdict: Verdict
-    void: Array  # () bool: physics became unstable before the game was decided; counts for nobody
-
-    @property
-    def done(self) -> Array:
-        """() bool: the episode is over, for whatever reason."""
-        return self.verdict.terminated | self.verdict.truncated | self.void
-
-
-class Frames(NamedTuple):
-    """What a recording keeps of a decision: one row per control step."""
-
-    qpos: Array  # (hold, nq)
-    time: Array  # (hold,) seconds since the start of the episode
-    markers: dict[str, Array]  # name -> (hold, m), see Arena.marker_kinds
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds and counts: physics timestep, timesteps per control step, control steps per decision, episode length."""
-
-    timestep: float = 0.005
-    substeps: int = 4
-    hold: int = 1
-    episode: float = 30.0
-
-    @property
-    def control_interval(self) -> float:
-        """Seconds between two judgements of the game, and between two frames of a recording."""
-        return self.timestep * self.substeps
-
-    @property
-    def decisions(self) -> int:
-        """The most decisions an episode can take."""
-        return int(np.ceil(self.episode / (self.control_interval * self.hold) - 1e-9))
-
-
-class Where(TypedDict, total=False):
-    """Where an arena runs: an engine's name, the most worlds stepped together, threads of the C engine (0: all)."""
-
-    engine: EngineName
-    worlds: int
-    threads: int
-
-
-class Settings(Protocol):
-    """An arena's settings: a frozen dataclass of plain values that can build it."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def name(self) -> str:
-        """The arena's name, e.g. `sumo-2v2`."""
-        ...
-
-    def build(self, **where: Unpack[Where]) -> "Arena":
-        """The arena itself."""
-        ...
+MODEL_FIELDS = 0x6D6F6465  # folded into an episode's key for its model fields, far from what games split off it
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # of teams: part of body names, paths in the viewer and names of players
 
 
 class Arena(ABC):
-    """A game with physics. Subclasses fill `place`, `observe` and `judge`; `reset` and `step` are final."""
+    """A game, with physics where its robots have bodies.
 
-    derived: ClassVar[tuple[str, ...]] = ()  # fields of Physics beyond qpos and qvel that the hooks read
-    law: Law | None = None  # actuation law, run before every substep
-    marker_kinds: ClassVar[Mapping[str, str]] = {}  # drawn with the robots: name -> "circle" (x, y, radius)
-    contacts: int = 24  # Warp's contact slots per world
-    rows: int = 128  # Warp's constraint rows per world
+    A game fills in `observation_size`, `place`, `observe` and `judge`, and `decide`, `alive`, `randomise`, `exchange`,
+    `game_scripts` and `markers` if it has such. The constructor calls none of them: what they need can be set after it.
+    """
+
+    def __init_subclass__(cls) -> None:
+        """Raise ArenaError for a game that by chance has a function of the name of one of the contract's own."""
+        own = {name for name in vars(Arena) if name.startswith("_") and not name.startswith(("__", "_abc_"))}
+        for name in sorted(own & set(vars(cls))):
+            raise ArenaError(f"{cls.__name__}.{name}: every arena has something of this name: choose another")
 
     def __init__(
         self,
         name: str,
-        robots: Mapping[str, tuple[Robot, ...]],
+        robots: Mapping[str, Sequence[Robot]],
         timing: Timing,
         rules: Mapping[str, Any],
+        *,
+        props: Sequence[Prop] = (),
+        solver: Solver | None = None,
+        derived: tuple[str, ...] = (),
+        marker_kinds: Mapping[str, str] | None = None,
         **where: Unpack[Where],
     ):
-        """`robots` are the teams' rosters; `rules` is all that the outcome of a game depends on beside the model."""
+        """A game in a scene of its own.
+
+        `robots` are the teams' rosters, one team or more. `rules` is all that the outcome of a game depends on beside
+        the model. `derived` are the fields of Physics beyond qpos and qvel that the hooks read, `marker_kinds` what
+        is drawn with the robots: name -> "circle" (x, y, radius) on the ground, "segment" (x, y, z of both ends),
+        "sphere" of wire or solid "ball" (x, y, z, radius). Raises ArenaError for rosters that cannot be.
+        """
+        _check_rosters(robots)
         self.name = name
         self.timing = timing
-        self.robots = {f"{team}/{i}": r for team, rs in robots.items() for i, r in enumerate(rs)}
-        self.scene: Scene = build(robots, timestep=timing.timestep)
-        self.teams = tuple(
-            TeamSpec(
-                team,
-                tuple(
-                    AgentSpec(f"{team}/{i}", r.kind, self.observation_size(f"{team}/{i}"), r.action_size)
-                    for i, r in enumerate(rs)
-                ),
-            )
-            for team, rs in robots.items()
-        )
+        self.robots: dict[str, Robot] = {f"{team}/{i}": r for team, rs in robots.items() for i, r in enumerate(rs)}
+        self.marker_kinds: Mapping[str, str] = dict(marker_kinds or {})
+        self.scene: Scene = build(robots, props, solver=solver, timestep=timing.timestep)
         self.config_hash = _hash(rules, timing, self.scene.xml)
+        buffers = solver or Solver()
         self.engine: Engine = make_engine(
-            where.get("engine", "auto"), self.scene.model, self.derived, worlds=where.get("worlds", 1),
-            contacts=self.contacts, rows=self.rows, threads=where.get("threads", 0),
+            where.get("engine", "auto"), self.scene.model, derived, worlds=where.get("worlds", 1),
+            contacts=buffers.contacts, rows=buffers.rows, threads=where.get("threads", 0),
         )  # fmt: skip
+        self._rosters = {team: tuple(f"{team}/{i}" for i in range(len(rs))) for team, rs in robots.items()}
+        self.law = self._compose_laws()
+
+    @cached_property
+    def teams(self) -> tuple[TeamSpec, ...]:
+        """The sides, in the order of scores and rewards."""
+        return tuple(TeamSpec(team, tuple(map(self._spec, agents))) for team, agents in self._rosters.items())
 
     @property
     def agents(self) -> tuple[AgentSpec, ...]:
@@ -194,112 +109,290 @@ class Arena(ABC):
     def judge(self, before: Physics, physics: Physics, game: Any) -> tuple[Any, Verdict]:
         """Judge one control step, from `before` to `physics`: the game's pytree after it, and the verdict."""
 
-    def scripts(self) -> dict[str, Script]:
-        """Scripted opponents that any agent can play, by name."""
+    def decide(self, game: Any, actions: dict[str, Array]) -> Any:
+        """Note in the game's pytree what the agents decided, before it is carried out; for games that judge actions."""
+        return game
+
+    def alive(self, physics: Physics, game: Any) -> Array:
+        """(agents,) bool: who takes part in the game. Who is out of it neither acts nor sees, and teaches no learner.
+
+        Its robot goes on as its `limp` action has it. That it earns nothing any more is for `judge` to see to.
+        """
+        return jnp.ones(len(self.robots), bool)
+
+    def randomise(self, key: Array) -> dict[str, Array]:
+        """Draw this episode's own model fields, of those in `arenas.physics.VARIABLE`, each shaped as the model's."""
+        return {}
+
+    def exchange(self, qpos: Array, qvel: Array, game: Any) -> tuple[Array, Array, Any]:
+        """The same situation with two equal teams in each other's places: what one saw the other sees now.
+
+        Robots change places with those of their number; a game in which a team has more of its own (a block, a goal)
+        exchanges that too.
+        """
+        changed, moved = qpos, qvel
+        for mine, yours in zip(*self._rosters.values(), strict=True):
+            if mine in self.scene.agents:
+                one, other = self.scene.agents[mine], self.scene.agents[yours]
+                for a, b in ((one, other), (other, one)):
+                    changed = changed.at[a.own_qpos].set(qpos[b.own_qpos])
+                    moved = moved.at[a.own_qvel].set(qvel[b.own_qvel])
+        return changed, moved, game
+
+    def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
+        """Scripted opponents that know this game: name -> robot kind -> script."""
         return {}
 
     def markers(self, physics: Physics, game: Any) -> dict[str, Array]:
         """What to draw beside the robots now, by the names of `marker_kinds`."""
         return {}
 
-    # The two verbs ---------------------------------------------------------------------------------------------------
+    # What a game says about itself; `league check` holds it against what it does --------------------------------------
 
+    def observation_parts(self, agent: str) -> tuple[Part, ...]:
+        """What the numbers of an agent's observation are, in their order; nothing: they have no names."""
+        return ()
+
+    def legend(self) -> Legend:
+        """What the verdicts' terms, events and score mean."""
+        return Legend()
+
+    # What games ask about their robots -------------------------------------------------------------------------------
+
+    @final
+    def body(self, agent: str, physics: Physics, actions: Mapping[str, Array]) -> Body:
+        """An agent's robot as it feels itself."""
+        at, (qpos, qvel) = self.scene.agents[agent], (physics.qpos, physics.qvel)
+        base = qpos[at.qpos : at.qpos + 7], qvel[at.qvel : at.qvel + 6]
+        return Body(*base, qpos[at.joint_qpos], qvel[at.joint_qvel], actions[agent])
+
+    @final
+    def command(self, actions: Mapping[str, Array]) -> Array:
+        """The agents' actions as one command (nu,) to all actuators."""
+        command = jnp.zeros(self.scene.model.nu)
+        for agent, at in self.scene.agents.items():
+            command = command.at[at.ctrl].set(self.robots[agent].command(actions[agent]))
+        return command
+
+    @final
+    def fallen(self, physics: Physics) -> Array:
+        """(agents,) bool: who has fallen, by the rule of its robot; who has no body cannot."""
+        rules = [
+            self.robots[agent].fallen(physics.qpos[at.qpos : at.qpos + 7]) if at else jnp.zeros((), bool)
+            for agent, at in ((agent, self.scene.agents.get(agent)) for agent in self.robots)
+        ]
+        return jnp.stack(rules)
+
+    @final
+    def scripts(self) -> dict[str, dict[str, Script]]:
+        """Scripted opponents: name -> robot kind -> script, of kinds that play here; the robots' before the game's."""
+        found: dict[str, dict[str, Script]] = {}
+        of_robots = [{n: {robot.kind: s} for n, s in robot.scripts.items()} for robot in self.robots.values()]
+        here = {robot.kind for robot in self.robots.values()}
+        for source in (*of_robots, self.game_scripts()):
+            for name, kinds in source.items():
+                known = {kind: script for kind, script in kinds.items() if kind in here}
+                if known:
+                    found.setdefault(name, {}).update(known)
+        return found
+
+    @final
+    def playable(self, team: TeamSpec) -> tuple[str, ...]:
+        """The scripts that a team can play: those known to every kind of robot in it."""
+        return tuple(n for n, kinds in self.scripts().items() if all(a.kind in kinds for a in team.agents))
+
+    # The verbs -------------------------------------------------------------------------------------------------------
+
+    @final
     def reset(self, key: Array) -> State:
         """A fresh world."""
-        qpos, qvel, game = self.place(key)
-        return self._begin(self.engine.make(qpos, qvel), game)
+        qpos, qvel, game, fields = self._draw(key)
+        return self._begin(self.engine.make(qpos, qvel, fields), game)
 
+    @final
     def restart(self, state: State, key: Array, where: Array) -> State:
         """The same world, begun anew where `where` () bool; elsewhere it stays as it is."""
-        qpos, qvel, game = self.place(key)
-        fresh = self._begin(self.engine.place(state.physics, qpos, qvel, where), game)
+        qpos, qvel, game, fields = drawn(self._draw, key, where)
+        fresh = self._begin(self.engine.place(state.physics, qpos, qvel, where, fields), game)
         # place() already chose world by world; to compare engines' own buffers again would cost and gain nothing.
         chosen = jax.tree.map(
             lambda new, old: jnp.where(where, new, old), fresh._replace(physics=()), state._replace(physics=())
         )
         return chosen._replace(physics=fresh.physics)
 
+    @final
     def step(self, state: State, actions: dict[str, Array]) -> State:
         """One decision. Stepping a world that is done goes on simulating but changes no verdict."""
         return self.step_with_frames(state, actions)[0]
 
+    @final
     def step_with_frames(self, state: State, actions: dict[str, Array]) -> tuple[State, Frames]:
-        """`step`, with what a recording keeps."""
-        command = self._command(actions)
-        none = self._undecided()
-        first = state.verdict._replace(reward=none.reward, shaping=none.shaping)
+        """`step`, with what a recording keeps. An action that is not finite makes an undecided world void."""
+        actions = self._of_the_living(actions, state.alive)
+        whole = self.command(actions)
+        wild = self._wild(actions)
 
-        def control_step(carry: tuple[Physics, Any, Verdict, Array], _: None) -> tuple[Any, Frames]:
-            before, game, verdict, void = carry
+        def control_step(carry: tuple[Physics, Any, Verdict, Array, Array], _: None) -> tuple[Any, Frames]:
+            before, game, verdict, void, culprits = carry
+            command = self.command(self._of_the_living(actions, self.alive(before, game))) if self._mortal else whole
             physics = self.engine.step(before, command, self.timing.substeps, self.law)
             decided = verdict.terminated | verdict.truncated | void
             game_after, news = self.judge(before, physics, game)
-            verdict = _merge(verdict, news, decided | physics.unstable)
-            void = void | (physics.unstable & ~decided)
+            broken = ~decided & (physics.unstable | wild.any())
+            news = counted(news, ~(decided | broken))
+            culprits = jnp.where(broken, self._culprits(physics, wild), culprits)
             game = jax.tree.map(lambda old, new: jnp.where(decided, old, new), game, game_after)
-            frames = Frames(physics.qpos, physics.time, self.markers(physics, game))
-            return (physics, game, verdict, void), frames
+            (qpos,) = stackable(physics.qpos)
+            frames = Frames(qpos, physics.time, self.markers(physics, game), news.rewards, news.shapings, news.events)
+            return (physics, game, merged(verdict, news), void | broken, culprits), frames
 
-        carry = (state.physics, state.game, first, state.void)
-        (physics, game, verdict, void), frames = jax.lax.scan(control_step, carry, length=self.timing.hold)
-        observations = _finite(self.observe(physics, game, actions))
-        return State(physics, game, observations, actions, verdict, void), frames
+        first = begun(state.verdict)
+        game = jax.tree.map(
+            lambda old, new: jnp.where(state.done, old, new), state.game, self.decide(state.game, actions)
+        )
+        carry = (state.physics, game, first, state.void, state.culprits)
+        carry, frames = jax.lax.scan(control_step, carry, length=self.timing.hold)
+        physics, game, verdict, void, culprits = carry
+        alive, observations = self._look(physics, game, actions)
+        return State(physics, game, observations, actions, verdict, void, culprits, alive), frames
+
+    @final
+    def save(self, state: State) -> dict[str, Array]:
+        """All that decides how this world goes on, as named arrays; batch with `jax.vmap`."""
+        leaves = jax.tree_util.tree_leaves_with_path(self._neutral(state))
+        return {_path(path): _data(leaf) for path, leaf in leaves}
+
+    @final
+    def load(self, saved: Mapping[str, Array]) -> State:
+        """The world of `save`: on the same engine it goes on bit for bit."""
+        example = jax.eval_shape(lambda key: self._neutral(self.reset(key)), jax.random.key(0))
+        leaves, structure = jax.tree_util.tree_flatten_with_path(example)
+        missing = {_path(path) for path, _ in leaves} ^ set(saved)
+        if missing:
+            raise ArenaError(f"these are no worlds of {self.name}: {', '.join(sorted(missing))} missing or unknown")
+        state = jax.tree.unflatten(structure, [_typed(saved[_path(path)], leaf) for path, leaf in leaves])
+        return state._replace(physics=self.engine.load(state.physics))
 
     # Inside ----------------------------------------------------------------------------------------------------------
 
+    def _spec(self, agent: str) -> AgentSpec:
+        robot = self.robots[agent]
+        return AgentSpec(agent, robot.kind, self.observation_size(agent), robot.action_size)
+
+    def _draw(self, key: Array) -> tuple[Array, Array, Any, dict[str, Array]]:
+        """The start of an episode, as `place` and `randomise` draw it."""
+        return *self.place(key), self.randomise(jax.random.fold_in(key, MODEL_FIELDS))
+
     def _begin(self, physics: Physics, game: Any) -> State:
         actions = {a.name: jnp.zeros(a.action_size) for a in self.agents}
-        observations = _finite(self.observe(physics, game, actions))
-        return State(physics, game, observations, actions, self._undecided(), jnp.zeros((), bool))
+        alive, observations = self._look(physics, game, actions)
+        bare = physics._replace(carry=())
+        verdict = undecided(jax.eval_shape(self.judge, bare, bare, game)[1])
+        teams = jnp.zeros(len(self.teams), bool)
+        return State(physics, game, observations, actions, verdict, jnp.zeros((), bool), teams, alive)
 
-    def _undecided(self) -> Verdict:
-        zeros, no = jnp.zeros(len(self.teams)), jnp.zeros((), bool)
-        return Verdict(zeros, zeros, zeros, no, no)
+    @cached_property
+    def _mortal(self) -> bool:
+        """Whether the game ever says that somebody is out of it; the others pay nothing for the question."""
+        return type(self).alive is not Arena.alive
 
-    def _command(self, actions: dict[str, Array]) -> Array:
-        command = jnp.zeros(self.scene.model.nu)
-        for agent, robot in self.robots.items():
-            command = command.at[self.scene.agents[agent].ctrl].set(robot.command(actions[agent]))
-        return command
+    def _of_the_living(self, actions: dict[str, Array], alive: Array) -> dict[str, Array]:
+        """The actions (act,) that are carried out where `alive` (agents,) bool."""
+        if not self._mortal:
+            return actions
+        limp = {a: jnp.array(robot.limp or [0.0] * robot.action_size) for a, robot in self.robots.items()}
+        return {a: jnp.where(on, actions[a], limp[a]) for a, on in zip(self.robots, alive, strict=True)}
+
+    def _look(self, physics: Physics, game: Any, actions: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
+        """Who is alive (agents,) bool, and what each agent sees of it: zeros for who is not."""
+        alive, seen = self.alive(physics, game), finite(self.observe(physics, game, actions))
+        if not self._mortal:
+            return alive, seen
+        return alive, {a: jnp.where(on, seen[a], 0.0) for a, on in zip(self.robots, alive, strict=True)}
+
+    def _neutral(self, state: State) -> State:
+        """The state with what its engine saves of it in place of the engine's own."""
+        return state._replace(physics=self.engine.save(state.physics))
+
+    def _compose_laws(self) -> Law | None:
+        """The robots' laws, each over its own joints and actuators, as one; None if none has any."""
+        laws = [(self.scene.agents[agent], robot.law) for agent, robot in self.robots.items() if robot.law]
+        if not laws:
+            return None
+
+        def law(qpos: Array, qvel: Array, command: Array) -> Array:
+            ctrl = command
+            for at, own in laws:
+                ctrl = ctrl.at[at.ctrl].set(own(qpos[at.joint_qpos], qvel[at.joint_qvel], command[at.ctrl]))
+            return ctrl
+
+        return law
+
+    def _wild(self, actions: dict[str, Array]) -> Array:
+        """(teams,) bool: who acts with numbers that are not finite."""
+        return jnp.stack([
+            jnp.stack([~jnp.all(jnp.isfinite(actions[agent])) for agent in agents]).any()
+            for agents in self._rosters.values()
+        ])  # fmt: skip
+
+    def _culprits(self, physics: Physics, wild: Array) -> Array:
+        """(teams,) bool: who brought bad numbers into a world that is void from now on.
+
+        Wild actions tell it. Else the numbers of the robots do, as long as they spread to one team alone; a contact
+        buffer that overflows tells nothing.
+        """
+        bad = jnp.stack([
+            ~jnp.stack([self._sound(agent, physics) for agent in agents]).all() for agents in self._rosters.values()
+        ])  # fmt: skip
+        alone = bad if len(self._rosters) == 1 else bad & ~bad.all()
+        return jnp.where(wild.any(), wild, alone)
+
+    def _sound(self, agent: str, physics: Physics) -> Array:
+        at = self.scene.agents.get(agent)
+        return sound(physics.qpos[at.own_qpos], physics.qvel[at.own_qvel]) if at else jnp.ones((), bool)
 
 
-def check_scripts(arena: Arena, name: str) -> Script:
-    """A scripted opponent by name; an unknown one is an ArenaError that lists what exists."""
+def check_scripts(arena: Arena, name: str) -> Mapping[str, Script]:
+    """A scripted opponent by name: robot kind -> script. An unknown one is an ArenaError that lists what exists."""
     scripts = arena.scripts()
     if name not in scripts:
         raise ArenaError(f"arena {arena.name} has no script {name!r}; it has {', '.join(sorted(scripts)) or 'none'}")
     return scripts[name]
 
 
-def up_z(quat: Array) -> Array:
-    """World z of the body's up axis from its quaternion (4,) w first: 1 upright, -1 on its back."""
-    return 1.0 - 2.0 * (quat[1] ** 2 + quat[2] ** 2)
-
-
-def yaw(quat: Array) -> Array:
-    """Heading in radians from a quaternion (4,), w first."""
-    w, x, y, z = quat
-    return jnp.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-
-
-def _merge(verdict: Verdict, news: Verdict, frozen: Array) -> Verdict:
-    """Add rewards and take the outcome of a control step, unless the game was `frozen` before it."""
-    over = news.terminated | news.truncated
-    return Verdict(
-        reward=verdict.reward + jnp.where(frozen, 0.0, news.reward),
-        shaping=verdict.shaping + jnp.where(frozen, 0.0, news.shaping),
-        score=jnp.where(frozen | ~over, verdict.score, news.score),
-        terminated=verdict.terminated | (news.terminated & ~frozen),
-        truncated=verdict.truncated | (news.truncated & ~frozen),
-    )
-
-
-def _finite(observations: dict[str, Array]) -> dict[str, Array]:
-    """Bad numbers of an unstable world must not reach a network: NaN and infinities become 0, the rest is bounded."""
-    return {k: jnp.clip(jnp.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0), -1e6, 1e6) for k, v in observations.items()}
+def _check_rosters(robots: Mapping[str, Sequence[Robot]]) -> None:
+    """Raise ArenaError for teams without a proper name or robot, and for two robots of one kind that act unlike."""
+    if not robots:
+        raise ArenaError("an arena needs at least one team")
+    for team, members in robots.items():
+        if not NAME.fullmatch(team):
+            raise ArenaError(f"team name {team!r}: use a letter, then letters, digits, - and _")
+        if not members:
+            raise ArenaError(f"team {team} has no robots")
+    every = [robot for members in robots.values() for robot in members]
+    for robot in every:
+        sizes = {r.action_size for r in every if r.kind == robot.kind}
+        if len(sizes) > 1:
+            raise ArenaError(f"robots of kind {robot.kind} have {sorted(sizes)} actions: give them kinds of their own")
 
 
 def _hash(rules: Mapping[str, Any], timing: Timing, xml: str) -> str:
     """Sixteen hexadecimal digits that change with the rules, the timing, the bodies or MuJoCo's version."""
     text = json.dumps([dict(rules), vars(timing), xml, mujoco.__version__], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _path(path: tuple) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator="/")
+
+
+def _data(leaf: Array) -> Array:
+    """A leaf as plain numbers: of a random key those that it is made of."""
+    return jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf
+
+
+def _typed(values: Array, like: jax.ShapeDtypeStruct) -> Array:
+    """Saved numbers as what they were."""
+    if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(values)
+    return jnp.asarray(values, like.dtype)

@@ -1,4 +1,4 @@
-"""From robots and ground to one MjModel, and from names to indices, once."""
+"""From robots, props and ground to one MjModel, and from names to indices, once."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,6 +6,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from arenas.errors import ArenaError
+from arenas.options import Solver
+from arenas.props import Prop
 from arenas.robots.robot import Robot
 
 TEAM_COLOURS = ((0.16, 0.42, 0.90, 1.0), (0.88, 0.22, 0.20, 1.0), (0.16, 0.66, 0.36, 1.0), (0.90, 0.66, 0.12, 1.0))
@@ -21,58 +24,108 @@ class Indices:
     ctrl: np.ndarray  # (robot.nu,) actuators, in the robot's own order
     joint_qpos: np.ndarray  # (robot joints,) in the robot's own order
     joint_qvel: np.ndarray
+    own_qpos: np.ndarray  # every position that is this robot's, passive joints too
+    own_qvel: np.ndarray  # every velocity
+
+
+@dataclass(frozen=True)
+class PropIndices:
+    """Where one prop's numbers stand; `qpos` and `qvel` are None where it cannot move."""
+
+    body: int
+    geoms: np.ndarray  # ids
+    qpos: int | None  # first of its 7 positions
+    qvel: int | None  # first of its 6 velocities
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A compiled model with the indices of each agent, keyed by agent name such as `blue/0`."""
+    """A compiled model with the indices of each agent and prop by name, such as `blue/0` and `ball`."""
 
     model: mujoco.MjModel
     xml: str  # the compiled model as MJCF: with it a recording replays alone
-    agents: Mapping[str, Indices]
+    agents: Mapping[str, Indices]  # those that have a body
+    props: Mapping[str, PropIndices]
+    rest: np.ndarray  # (nq,) all bodies where they were built, robots' joints at their rest angles
 
 
-def build(teams: Mapping[str, Sequence[Robot]], *, timestep: float) -> Scene:
-    """Attach each team's robots to one ground plane under the prefix `team/index/` and compile.
+def build(
+    teams: Mapping[str, Sequence[Robot]], props: Sequence[Prop] = (), *, solver: Solver | None = None, timestep: float
+) -> Scene:
+    """Put each team's robots, under the prefix `team/index/`, and the props, under `name/`, on one ground; compile.
 
-    Newton with 10 iterations and 20 line-search steps is converged on contact-rich scenes and leaves its loop early, so
-    the cap costs little (measured against a converged solve; fewer iterations were not faster).
+    Robots without a body leave no trace in the model. Raises ArenaError where two things have one name.
     """
+    solver = solver or Solver()
+    names = [*teams, *(prop.name for prop in props)]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ArenaError(f"{', '.join(sorted(twice))}: teams and props of a scene need names of their own")
+    spec = _ground(solver, timestep)
+    robots: dict[str, Robot] = {}
+    for team, (name, members) in enumerate(teams.items()):
+        for index, robot in enumerate(members):
+            if robot.build is not None:
+                robots[f"{name}/{index}"] = robot
+                _attach(spec, robot.build(TEAM_COLOURS[team % len(TEAM_COLOURS)]), f"{name}/{index}/")
+    for prop in props:
+        body = _attach(spec, prop.build(), f"{prop.name}/")
+        if prop.free:
+            body.add_freejoint(name=f"{prop.name}/base")
+    model = spec.compile()
+    agents = {agent: _indices(model, agent, robot) for agent, robot in robots.items()}
+    rest = model.qpos0.copy()
+    for agent, robot in robots.items():
+        if robot.rest:
+            rest[agents[agent].joint_qpos] = robot.rest
+    return Scene(model, spec.to_xml(), agents, {prop.name: _prop_indices(model, prop) for prop in props}, rest)
+
+
+def _ground(solver: Solver, timestep: float) -> mujoco.MjSpec:
+    """A spec with options, ground and light, and nothing that moves."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.modelname = "arena"
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    spec.option.iterations, spec.option.ls_iterations = 10, 20
+    pyramidal = solver.cone == "pyramidal"
+    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if pyramidal else mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.iterations, spec.option.ls_iterations = solver.iterations, solver.ls_iterations
+    spec.option.impratio = solver.impratio
     # The ground slides as little as chassis do (0.3); tyres bring their own grip by priority.
     spec.worldbody.add_geom(
         name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], contype=1, conaffinity=0,
         friction=[0.3, 0.005, 0.0001], rgba=[0.32, 0.34, 0.37, 1],
     )  # fmt: skip
     spec.worldbody.add_light(pos=[0, 0, 6], dir=[0, 0, -1])
-    robots: dict[str, Robot] = {}
-    for team, (name, members) in enumerate(teams.items()):
-        for index, robot in enumerate(members):
-            agent = f"{name}/{index}"
-            robots[agent] = robot
-            frame = spec.worldbody.add_frame()
-            frame.attach_body(
-                robot.build(TEAM_COLOURS[team % len(TEAM_COLOURS)]).worldbody.first_body(), f"{agent}/", ""
-            )
-    model = spec.compile()
-    return Scene(model, spec.to_xml(), {agent: _indices(model, agent, robot) for agent, robot in robots.items()})
+    return spec
+
+
+def _attach(spec: mujoco.MjSpec, part: mujoco.MjSpec, prefix: str) -> mujoco.MjsBody:
+    return spec.worldbody.add_frame().attach_body(part.worldbody.first_body(), prefix, "")
 
 
 def _indices(model: mujoco.MjModel, agent: str, robot: Robot) -> Indices:
     base = model.body(f"{agent}/{robot.base}").id
     free = model.body_jntadr[base]
     joints = [model.joint(f"{agent}/{name}").id for name in robot.joints]
+    own = [model.joint(i) for i in range(model.njnt) if model.joint(i).name.startswith(f"{agent}/")]
     return Indices(
         base=base,
         qpos=int(model.jnt_qposadr[free]),
         qvel=int(model.jnt_dofadr[free]),
-        ctrl=np.array([model.actuator(f"{agent}/{name}").id for name in robot.actuators]),
+        ctrl=np.array([model.actuator(f"{agent}/{name}").id for name in robot.actuators], int),
         joint_qpos=model.jnt_qposadr[joints],
         joint_qvel=model.jnt_dofadr[joints],
+        own_qpos=np.concatenate([np.arange(j.qposadr[0], j.qposadr[0] + len(j.qpos0)) for j in own]),
+        own_qvel=np.concatenate([np.arange(j.dofadr[0], j.dofadr[0] + len(j.damping)) for j in own]),
     )
+
+
+def _prop_indices(model: mujoco.MjModel, prop: Prop) -> PropIndices:
+    prefix = f"{prop.name}/"
+    body = next(i for i in range(model.nbody) if model.body(i).name.startswith(prefix))
+    geoms = np.array([i for i in range(model.ngeom) if model.geom(i).name.startswith(prefix)], int)
+    joint = model.body_jntadr[body]
+    qpos, qvel = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])) if prop.free else (None, None)
+    return PropIndices(int(body), geoms, qpos, qvel)

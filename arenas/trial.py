@@ -2,29 +2,57 @@
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from arenas.arena import Arena, State
+from arenas.arena import Arena
+from arenas.physics import Physics
+from arenas.state import Frames, State
 
 WORLDS = 8  # simulated together; an arena on Warp sizes its buffers by this
 CLOSE = 1e-3  # what one decision may differ by where a GPU adds in another order; on the C engine nothing differs
+RECORDED = 3  # decisions of a recording under examination
+
+
+class Episode(NamedTuple):
+    """Random play until two decisions after the latest end."""
+
+    seen: State  # what learners see (T, WORLDS, ...)
+    raw: dict[str, np.ndarray]  # observations (T, WORLDS, obs) as the game told them, before bad numbers are masked
+    last: State  # the last state whole
 
 
 class Trial:
-    """WORLDS worlds of an arena. `first` is their state after reset, `second` and `frames` what one decision gave."""
+    """WORLDS worlds of an arena; everything is computed when it is first asked for."""
 
     def __init__(self, arena: Arena, key: Array):
         self.arena, self.key = arena, key
         self.keys = jax.random.split(key, WORLDS)
         self.reset, self.restart = jax.jit(jax.vmap(arena.reset)), jax.jit(jax.vmap(arena.restart))
         self.place, self._step = jax.jit(jax.vmap(arena.engine.place)), jax.jit(jax.vmap(arena.step_with_frames))
-        self.first = self.reset(self.keys)
-        self.second, self.frames = self._step(self.first, self.actions(0))
+
+    @cached_property
+    def first(self) -> State:
+        """The worlds after reset."""
+        return self.reset(self.keys)
+
+    @cached_property
+    def _stepped(self) -> tuple[State, Frames]:
+        return self._step(self.first, self.actions(0))
+
+    @property
+    def second(self) -> State:
+        """The worlds after one decision."""
+        return self._stepped[0]
+
+    @property
+    def frames(self) -> Frames:
+        """What a recording keeps of that decision."""
+        return self._stepped[1]
 
     def actions(self, decision: int) -> dict[str, Array]:
         """Actions (WORLDS, act) for one decision, uniform within ±1."""
@@ -36,16 +64,48 @@ class Trial:
 
     def step(self, state: State, decision: int = 0, order: Any = slice(None)) -> State:
         """One decision with its random actions, those of world `order[i]` in world i."""
-        return self._step(state, jax.tree.map(lambda x: x[order], self.actions(decision)))[0]
+        return self.act(state, jax.tree.map(lambda x: x[order], self.actions(decision)))
+
+    def act(self, state: State, actions: dict[str, Array]) -> State:
+        """One decision with these actions."""
+        return self._step(state, actions)[0]
 
     @cached_property
-    def episode(self) -> tuple[State, State]:
-        """What learners see (T, WORLDS, ...) until two decisions after the latest end, and the last state whole."""
+    def episode(self) -> Episode:
+        """One episode of random play in every world."""
+        arena = self.arena
+        observe = jax.jit(jax.vmap(lambda state: arena.observe(state.physics, state.game, state.actions)))
         state, seen = self.second, [_seen(self.first), _seen(self.second)]
-        for decision in range(1, self.arena.timing.decisions + 2):
+        raw = [jax.device_get(observe(state)) for state in (self.first, self.second)]
+        for decision in range(1, arena.timing.decisions + 2):
             state = self.step(state, decision)
             seen.append(_seen(state))
-        return jax.tree.map(lambda *x: np.stack(x), *seen), state
+            raw.append(jax.device_get(observe(state)))
+        return Episode(_stacked(seen), _stacked(raw), state)
+
+    def recorded(self) -> Frames:
+        """Frames (RECORDED, WORLDS, hold, ...) of random play as matches record them, stacked by one scan."""
+
+        @jax.jit
+        def play(state: State, actions: dict[str, Array]) -> Frames:
+            return jax.lax.scan(jax.vmap(self.arena.step_with_frames), state, actions)[1]
+
+        return play(self.first, jax.tree.map(lambda *x: jnp.stack(x), *map(self.actions, range(RECORDED))))
+
+    def by_hand(self) -> Physics:
+        """Physics (RECORDED, WORLDS, hold, ...) of the same play, one call for each control step."""
+        arena = self.arena
+        command = jax.jit(jax.vmap(arena.command))
+        step = jax.jit(
+            jax.vmap(lambda physics, ctrl: arena.engine.step(physics, ctrl, arena.timing.substeps, arena.law))
+        )
+        physics, found = self.first.physics, []
+        for decision in range(RECORDED):
+            for _ in range(arena.timing.hold):
+                physics = step(physics, command(self.actions(decision)))
+                found.append(jax.device_get(physics._replace(carry=())))
+        shape = (RECORDED, arena.timing.hold, WORLDS)
+        return jax.tree.map(lambda x: np.moveaxis(x.reshape(*shape, *x.shape[2:]), 1, 2), _stacked(found))
 
 
 def view(state: State, worlds: Any = slice(None)) -> dict[str, np.ndarray]:
@@ -55,12 +115,14 @@ def view(state: State, worlds: Any = slice(None)) -> dict[str, np.ndarray]:
     return {jax.tree_util.keystr(path)[1:]: values[worlds] for path, values in leaves}
 
 
-def apart(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray], tolerance: float = CLOSE) -> str:
-    """Where two views differ, or nothing; a NaN equals a NaN."""
+def apart(one: Mapping[str, Any], other: Mapping[str, Any], tolerance: float = CLOSE) -> str:
+    """Where two views, arrays by name, differ, or nothing; a NaN equals a NaN."""
     for name in one:
-        if not np.allclose(one[name], other[name], rtol=tolerance, atol=tolerance, equal_nan=True):
-            gap = np.nanmax(np.abs(one[name].astype(float) - other[name].astype(float)))
-            return f"{name} differs, by up to {gap:.2g}"
+        ours, theirs = np.asarray(one[name]), np.asarray(other[name])
+        if not np.allclose(ours, theirs, rtol=tolerance, atol=tolerance, equal_nan=True):
+            gaps = np.abs(ours.astype(float) - theirs.astype(float))
+            numbers = gaps[~np.isnan(gaps)]
+            return f"{name} differs, by up to {numbers.max():.2g}" if numbers.any() else f"{name} differs, by NaN"
     return ""
 
 
@@ -72,3 +134,7 @@ def _plain(values: Array) -> np.ndarray:
 def _seen(state: State) -> State:
     """What learners see of a batch of worlds, on the host."""
     return jax.device_get(state._replace(physics=(), game=(), actions=()))
+
+
+def _stacked(trees: list[Any]) -> Any:
+    return jax.tree.map(lambda *x: np.stack(x), *trees)

@@ -23,7 +23,9 @@ import jax.numpy as jnp
 import mujoco
 from jax import Array
 
-from arenas.robots.robot import Robot
+from arenas.about import Part
+from arenas.robots.robot import Robot, anything, nothing
+from arenas.rotations import up_z
 
 WHEEL_RADIUS = 0.052  # m
 WHEEL_WIDTH = 0.045  # m, drawn only
@@ -35,6 +37,7 @@ CHASSIS_MASS, WHEEL_MASS = 3.4, 0.1  # kg
 KV_WHEEL, TORQUE_LIMIT = 0.05, 0.9  # N·m·s/rad, N·m
 KP_STEERING, KV_STEERING = 5.0, 0.3  # N·m/rad, N·m·s/rad
 ARMATURE = 0.001  # kg·m², the motor's inertia seen at the wheel
+UPRIGHT = 0.3  # an up axis whose world z is below this is a fall
 
 # Bits: the ground touches tyres and chassis (contype 1), chassis touch each other (contype 2), tyres only the ground.
 _TYRE = {"contype": 0, "conaffinity": 1}
@@ -51,18 +54,47 @@ _SPIN = tuple(f"{wheel}_spin" for wheel in WHEELS)
 _STEER = ("front_left_steer", "front_right_steer")
 
 
-def leatherback(drive_scale: float = 60.0, steer_scale: float = 0.6, limit: float | None = 1.0) -> Robot:
+def leatherback(
+    drive_scale: float = 60.0, steer_scale: float = 0.6, limit: float | None = 1.0, wheel_limit: float | None = None,
+    steer_limit: float = MAX_STEERING,
+) -> Robot:  # fmt: skip
     """A rover whose action (throttle, steering) means `drive_scale`·a0 rad/s at all wheels, `steer_scale`·a1 rad.
 
-    Actions are clipped to ±`limit` first (None: not at all, as HARL-A's rovers in sumo, with scales 10 and 0.1).
+    Actions are clipped to ±`limit` first (None: not at all, as HARL-A's rovers, with scales 10 and 0.1), and wheel
+    speeds clamped to ±`wheel_limit` in rad/s after it (None: not at all; HARL-A's 50 has no effect in its sumo).
+    Steering servos are told at most `steer_limit` in rad; wheels turn no further than 0.75 rad, whatever they are told.
     """
 
     def command(action: Array) -> Array:
         a = action if limit is None else jnp.clip(action, -limit, limit)
-        steering = jnp.clip(steer_scale * a[1], -MAX_STEERING, MAX_STEERING)
-        return jnp.concatenate([jnp.full(4, drive_scale * a[0]), jnp.full(2, steering)])
+        speed = drive_scale * a[0]
+        if wheel_limit is not None:
+            speed = jnp.clip(speed, -wheel_limit, wheel_limit)
+        steering = jnp.clip(steer_scale * a[1], -steer_limit, steer_limit)
+        return jnp.concatenate([jnp.full(4, speed), jnp.full(2, steering)])
 
-    return replace(_BODY, command=command)
+    clipped = "" if limit is None else f", the action clipped to ±{limit:g}"
+    clamped = "" if wheel_limit is None else f", clamped to ±{wheel_limit:g} rad/s"
+    acts = (
+        Part("throttle", 1, "", f"speed of all wheels, {drive_scale:g} rad/s per unit{clipped}{clamped}"),
+        Part("steering", 1, "", f"angle of the front wheels to the left, {steer_scale:g} rad per unit{clipped}"),
+    )
+    return replace(_BODY, command=command, action_parts=acts)
+
+
+def drive_towards(position: Array, speed: Array, last_throttle: Array) -> Array:
+    """Throttle and steering that bring a rover to a position (2,) in its heading frame, in reverse if it lies behind.
+
+    In reverse, the angle that brings the rear onto a position has the sign of the angle that brings the nose onto its
+    mirror image in front. A rover only circles round what lies inside its turning circle: it first draws away with the
+    wheels turned the other way, as in a three-point turn, until the position is well outside the circle.
+    """
+    x, y = position
+    towards = jnp.where(x > -0.3 * jnp.linalg.norm(position), 1.0, -1.0)
+    circle = jnp.where(last_throttle * towards < 0, 0.8, 0.5)  # m, its radius; larger while drawing away
+    away = jnp.where(jnp.hypot(x, jnp.abs(y) - circle) < circle, -1.0, 1.0)
+    steering = jnp.clip(2.0 * jnp.arctan2(y, jnp.abs(x)), -1.0, 1.0)
+    return jnp.stack([away * towards * speed, away * steering])
 
 
 def _build(colour: tuple[float, float, float, float]) -> mujoco.MjSpec:
@@ -138,5 +170,8 @@ _BODY = Robot(
     action_size=2,
     rest_height=WHEEL_RADIUS,
     build=_build,
-    command=lambda action: action,
+    proprioception=lambda body: body.action,
+    proprioception_parts=(Part("last throttle", 1), Part("last steering", 1)),
+    fallen=lambda pose: up_z(pose[3:]) < UPRIGHT,
+    scripts={"idle": nothing(2), "random": anything(2)},
 )

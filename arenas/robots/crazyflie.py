@@ -1,0 +1,139 @@
+"""Crazyflie 2: a quadrotor of 27 g. Thrust and moments act on the body; rotors are drawn and do not turn.
+
+| quantity             | value                                     | source                                       |
+|----------------------|-------------------------------------------|----------------------------------------------|
+| mass                 | 0.027 kg                                  | Menagerie's cf2.xml (others: 0.028 to 0.032) |
+| inertia              | 2.3951e-5, 2.3951e-5, 3.2347e-5 kg·m²     | same (others: 1.4e-5, 1.4e-5, 2.17e-5)       |
+| motor arm            | 0.046 m                                   | Bitcraze: 92 mm from motor to motor          |
+| thrust               | 0 to 1.9 weights along the body's z       | HARL-A                                       |
+| moments              | ±0.01 N·m about the body's axes           | HARL-A; 417 rad/s² in roll and pitch         |
+| rotors' disc, height | radius 0.0225 m, body 0.029 m high        | assumed: covers rotors and board             |
+| damping of rates     | 1e-4 N·m·s/rad: turns die within 0.24 s   | chosen: random play spun up for ever         |
+| damping of motion    | 1e-4 N·s/m: 0.4 % of the speed per second | comes with it: one number per free joint     |
+
+With the damping one unit of moment turns the drone at 100 rad/s at most. Whether a touch of the ground ends a flight is
+the game's affair; HARL-A's tank game calls a drone lost at 0.25 m, and so does `fallen` here.
+
+It touches things with two crossed capsules along its arms: four points on the ground, in closed form on every engine.
+"""
+
+import math
+from functools import partial
+
+import jax.numpy as jnp
+import mujoco
+from jax import Array
+
+from arenas.about import Part
+from arenas.robots.robot import MOTION, Body, Colour, Robot, anything, nothing
+from arenas.rotations import into_body
+
+MASS = 0.027  # kg
+INERTIA = (2.3951e-5, 2.3951e-5, 3.2347e-5)  # kg·m²
+GRAVITY = 9.81  # m/s², the weight that thrust is measured in
+ARM, ROTOR_RADIUS, HEIGHT = 0.046, 0.0225, 0.029  # m
+THRUST_TO_WEIGHT = 1.9
+MOMENT = 0.01  # N·m
+DAMPING = 1e-4  # N·m·s/rad and N·s/m
+LOST_BELOW = 0.25  # m
+
+MAX_THRUST = THRUST_TO_WEIGHT * MASS * GRAVITY  # N
+HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that carries the weight
+RATE_GAIN, TILT_GAIN, DRIFT_GAIN, CLIMB_GAIN = 0.04, 0.17, 0.15, 0.5  # of `hover`: s/rad, 1, s/m, s/m
+
+WHITE = (0.95, 0.95, 0.92, 1.0)
+
+_ACTUATORS = ("thrust", "roll", "pitch", "yaw")
+_TOUCHES = {"contype": 2, "conaffinity": 3, "mass": 0, "group": 3}  # bits as in arenas.props
+_DRAWN = {"contype": 0, "conaffinity": 0, "mass": 0, "group": 1}
+
+
+def crazyflie(floor: float = LOST_BELOW) -> Robot:
+    """A drone whose action (4,), each clipped to ±1, is throttle (−1: none, 1: all) and moments about x, y and z.
+
+    `floor`: height in metres at and below which it counts as fallen; negative: never.
+    """
+    return Robot(
+        kind="crazyflie",
+        action_size=4,
+        build=_build,
+        base="drone",
+        actuators=_ACTUATORS,
+        rest_height=HEIGHT / 2,
+        limp=(-1.0, 0.0, 0.0, 0.0),  # motors off
+        command=_command,
+        proprioception=_feel,
+        fallen=partial(_low, floor),
+        scripts={"idle": nothing(4), "random": anything(4), "hover": _hover},
+        proprioception_parts=MOTION,
+        action_parts=(
+            Part("throttle", 1, "", f"thrust: -1 none, 1 all, which is {THRUST_TO_WEIGHT:g} weights; clipped to ±1"),
+            Part("moments", 3, "", f"about x, y and z, {MOMENT:g} N·m per unit, each clipped to ±1"),
+        ),
+    )
+
+
+def _command(action: Array) -> Array:
+    a = jnp.clip(action, -1.0, 1.0)
+    return jnp.concatenate([MAX_THRUST * (a[:1] + 1) / 2, MOMENT * a[1:]])
+
+
+def _feel(body: Body) -> Array:
+    """HARL-A's first nine numbers: velocity, rates and the way down, all in the drone's own frame."""
+    quat = body.pose[3:]
+    down = into_body(quat, jnp.array([0.0, 0.0, -1.0]))
+    return jnp.concatenate([into_body(quat, body.velocity[:3]), body.velocity[3:], down])
+
+
+def _low(floor: float, pose: Array) -> Array:
+    return pose[2] <= floor
+
+
+def _hover(observation: Array, key: Array) -> Array:
+    """Brake and stay level, from what it feels: the first nine numbers. Needs decisions at 25 Hz or more."""
+    velocity, rates, down = observation[:3], observation[3:6], observation[6:9]
+    climb = -jnp.sum(velocity * down)
+    roll = TILT_GAIN * (down[1] + DRIFT_GAIN * velocity[1])
+    pitch = -TILT_GAIN * (down[0] + DRIFT_GAIN * velocity[0])
+    moments = jnp.stack([roll, pitch, jnp.zeros(())]) - RATE_GAIN * rates
+    return jnp.clip(jnp.concatenate([(HOVER - CLIMB_GAIN * climb)[None], moments]), -1.0, 1.0)
+
+
+def _build(colour: Colour) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    drone = spec.worldbody.add_body(
+        name="drone", pos=[0, 0, HEIGHT / 2], mass=MASS, ipos=[0, 0, 0], inertia=INERTIA, explicitinertial=True
+    )
+    drone.add_freejoint(name="base").damping = [DAMPING, 0, 0]
+    drone.add_site(name="centre", size=[0.002, 0, 0], group=4)
+    for name, axis in zip(_ACTUATORS, (2, 3, 4, 5), strict=True):
+        gear = [0.0] * 6
+        gear[axis] = 1.0
+        limits = [0.0, MAX_THRUST] if name == "thrust" else [-MOMENT, MOMENT]
+        spec.add_actuator(
+            name=name, target="centre", trntype=mujoco.mjtTrn.mjTRN_SITE, gear=gear, ctrllimited=True, ctrlrange=limits
+        )
+    radius = HEIGHT / 2
+    reach = ARM + ROTOR_RADIUS - radius
+    for name, angle in (("arms_left", math.pi / 4), ("arms_right", -math.pi / 4)):
+        x, y = reach * math.cos(angle), reach * math.sin(angle)
+        drone.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, 0, 0], fromto=[-x, -y, 0, x, y, 0], **_TOUCHES
+        )
+    _draw(drone, colour)
+    return spec
+
+
+def _draw(drone: mujoco.MjsBody, colour: Colour) -> None:
+    dark = [0.12, 0.12, 0.14, 1]
+    box, rod, disc = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    drone.add_geom(name="board", type=box, size=[0.016, 0.014, 0.006], rgba=colour, **_DRAWN)
+    drone.add_geom(name="nose", type=box, size=[0.003, 0.008, 0.003], pos=[0.017, 0, 0.003], rgba=WHITE, **_DRAWN)
+    for i, angle in enumerate((45, 135, 225, 315)):
+        x, y = ARM * math.cos(math.radians(angle)), ARM * math.sin(math.radians(angle))
+        drone.add_geom(name=f"arm{i}", type=rod, size=[0.003, 0, 0], fromto=[0, 0, 0, x, y, 0], rgba=dark, **_DRAWN)
+        drone.add_geom(
+            name=f"rotor{i}", type=disc, size=[ROTOR_RADIUS, 0.001, 0], pos=[x, y, 0.010],
+            rgba=[*colour[:3], 0.45], **_DRAWN,
+        )  # fmt: skip

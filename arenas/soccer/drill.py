@@ -1,0 +1,164 @@
+"""Soccer's stages 1 and 2: a robot alone on the pitch gets to the ball, or scores. One team, measured by its success.
+
+Which goal it plays at a coin decides in each episode; the robot sees which. Aim "ball": success is to get within
+`rules.reach` of the ball; a goal ends that as a failure. Aim "score": success is the ball in the target goal, failure
+in the other. A fall ends either as a failure. No time left cuts the attempt off (`truncated`): the clock is not
+observed, so the learner bootstraps there; for the score it is a failure. A launched robot cuts it off too.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import NamedTuple, Unpack
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from arenas.about import Legend, Part
+from arenas.arena import Arena
+from arenas.options import Where
+from arenas.physics import Physics
+from arenas.robots.robot import Script
+from arenas.soccer import pitch, scripts
+from arenas.soccer.pitch import Pitch
+from arenas.soccer.rules import CONTROL
+from arenas.soccer.sight import Sight
+from arenas.soccer.stages import DrillSettings
+from arenas.state import Verdict
+
+PLAYER = "blue/0"
+DROPPED = {"anymal": 0.60, "leatherback": 0.50}  # m, with `defects.dropped`
+CLOSE = 0.8  # m, the scale of the terms `near` and `ball`
+TRIES = 24  # places that are drawn for a ball near the robot; the first is taken that is clear of robot and walls
+
+
+class Game(NamedTuple):
+    """What is asked for in this episode."""
+
+    side: Array  # () 1: the target is the goal at +x, -1: that at -x
+
+
+class Drill(Arena):
+    """A robot, called `blue/0`, and a ball."""
+
+    def __init__(self, settings: DrillSettings, **where: Unpack[Where]):
+        rules = settings.rules
+        super().__init__(
+            settings.name, {"blue": (pitch.robot(settings.robot, rules),)}, settings.timing,
+            {**asdict(rules), "randomisation": asdict(settings.randomisation)},
+            props=pitch.things(rules), solver=pitch.solver((settings.robot,)), **where,
+        )  # fmt: skip
+        self.rules, self.randomisation, self.weights = rules, settings.randomisation, asdict(settings.reward)
+        self.randomisation.check(self.scene)
+        self.pitch = Pitch(self.scene, self.robots, rules, DROPPED if rules.defects.dropped else {})
+        self._sight = Sight(self.robots, [[PLAYER]], rules.goal_at, settings.buffer)
+
+    def observation_size(self, agent: str) -> int:
+        """66 numbers of an ANYmal, 24 of a rover, and the buffer."""
+        return self._sight.size(agent)
+
+    def observation_parts(self, agent: str) -> tuple[Part, ...]:
+        """The seven vectors, of which those of other robots are zeros."""
+        return self._sight.parts(agent)
+
+    def legend(self) -> Legend:
+        """Each weight says what its term is."""
+        rules = self.rules
+        at_ball = f"within {rules.reach:g} m of the ball" + (" when the episode ends" if rules.stay else "")
+        aim = f"it is {at_ball}" if rules.aim == "ball" else "the ball is in the target goal"
+        return Legend(
+            score=f"1 when {aim}; 0 when it falls first, the ball is in {self._ending()}, or time is up",
+            rewards=dict.fromkeys(("reached", "goal", "wrong", "fall", "time", "near", "ball"), ""),
+            shapings=dict.fromkeys(("approach", "push"), ""),
+            events={
+                "reached": f"it is within {rules.reach:g} m of the ball",
+                "goal": "the ball is in the target goal",
+                "wrong_goal": "the ball is in the other goal",
+                "touch": "it has pushed the ball",
+                "fall": "it has fallen",
+                "launched": f"it is more than {rules.ceiling:g} m high: the episode is cut off",
+            },
+        )
+
+    def _ending(self) -> str:
+        return "a goal" if self.rules.aim == "ball" else "the other goal"
+
+    # Rules -----------------------------------------------------------------------------------------------------------
+
+    def place(self, key: Array) -> tuple[Array, Array, Game]:
+        """Robot and ball clear of each other, anywhere or near each other; the coin that says which goal."""
+        start, coin = jax.random.split(key)
+        near = None if self.rules.spread is None else self._near
+        side = jnp.where(jax.random.bernoulli(coin), 1.0, -1.0)
+        return *self.pitch.start(start, near), Game(side)
+
+    def _near(self, key: Array) -> Array:
+        """Places (2, 2) m of the robot, on the lattice, and of the ball, evenly in the square round it that is free.
+
+        Should no try be free, the ball lies beside the robot, towards the middle of the pitch.
+        """
+        assert self.rules.spread is not None
+        where, tries = jax.random.split(key)
+        robot = self.pitch.lattice(where)[0]
+        radius, clear = self.rules.ball.radius, sum(self.pitch.clear)
+        offsets = jax.random.uniform(tries, (TRIES, 2), minval=-self.rules.spread, maxval=self.rules.spread)
+        beside = jnp.stack([-clear * jnp.where(robot[0] > 0, 1.0, -1.0), jnp.zeros(())])
+        balls = robot + jnp.concatenate([offsets, beside[None]])
+        x, y = (jnp.abs(balls[:, i]) for i in range(2))
+        inside = (x <= self.rules.inside[0] - radius) & (y <= self.rules.inside[1] - radius)
+        free = inside & (pitch.length(balls - robot) >= clear) & ~self.pitch.over_goal(balls)
+        return jnp.stack([robot, balls[jnp.argmax(free.at[-1].set(True))]])
+
+    def randomise(self, key: Array) -> dict[str, Array]:
+        """As the settings say."""
+        return self.randomisation.draw(key, self.scene)
+
+    def judge(self, before: Physics, physics: Physics, game: Game) -> tuple[Game, Verdict]:
+        """The table of ends at the top of this file."""
+        rules, side = self.rules, game.side
+        reached = self.pitch.to_ball(physics)[0] <= rules.reach
+        goal, wrong = self.pitch.scored(physics, side), self.pitch.scored(physics, -side)
+        to_ball = rules.aim == "ball"
+        won = reached if to_ball else goal
+        stops = reached & (not rules.stay) if to_ball else jnp.zeros((), bool)
+        fall = self.fallen(physics)[0] & ~(stops | goal)
+        launched = self.pitch.launched(physics)[0]
+        over = stops | goal | wrong | fall
+        late = physics.time > rules.episode - self.timing.control_interval / 2
+        terms = self._terms(physics, side, {"reached": stops, "goal": goal, "wrong": wrong, "fall": fall})
+        events = {
+            "reached": reached, "goal": goal, "wrong_goal": wrong,
+            "touch": self.pitch.touched(before, physics)[0], "fall": fall, "launched": launched,
+        }  # fmt: skip
+        return game, Verdict(
+            rewards={name: (self.weights[name] * value)[None] for name, value in terms.items()},
+            shapings={name: (self.weights[name] * value)[None] for name, value in self._hints(before, physics, side)},
+            score=1.0 * (won & ~fall)[None],
+            terminated=over,
+            truncated=(late | launched) & ~over,
+            events={name: event[None] for name, event in events.items()},
+        )
+
+    def _terms(self, physics: Physics, side: Array, once: Mapping[str, Array]) -> dict[str, Array]:
+        dt = self.timing.control_interval
+        near, ball = self.pitch.to_ball(physics)[0], self.pitch.to_goal(physics, side)
+        return {name: 1.0 * happened for name, happened in once.items()} | {
+            "time": jnp.ones(()),
+            "near": dt * (1.0 - jnp.tanh(near / CLOSE)),
+            "ball": dt * (1.0 - jnp.tanh(ball / CLOSE)),
+        }
+
+    def _hints(self, before: Physics, physics: Physics, side: Array) -> list[tuple[str, Array]]:
+        approach = self.pitch.to_ball(before)[0] - self.pitch.to_ball(physics)[0]
+        return [("approach", approach), ("push", self.pitch.to_goal(before, side) - self.pitch.to_goal(physics, side))]
+
+    # Observations and scripts ----------------------------------------------------------------------------------------
+
+    def observe(self, physics: Physics, game: Game, actions: dict[str, Array]) -> dict[str, Array]:
+        """As in a match, without other robots."""
+        bodies = {PLAYER: self.body(PLAYER, physics, actions)}
+        return self._sight.observe(bodies, self.pitch.ball(physics), {PLAYER: game.side})
+
+    def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
+        """Those of matches."""
+        return scripts.of_soccer({robot.kind for robot in self.robots.values()}, CONTROL, self.rules)

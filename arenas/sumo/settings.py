@@ -1,0 +1,276 @@
+"""Settings of sumo's matches: which robots, by which rules. The game itself is `arenas/sumo/match.py`.
+
+Nothing here loads jax or mujoco: a configuration is read and written without them. `docs/arenas/sumo.md` says why each
+setting is what it is.
+"""
+
+import difflib
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple, Unpack
+
+from arenas.about import Outline, Seat
+from arenas.options import Timing, Where
+from arenas.randomisation import Randomisation
+from arenas.sumo.layouts import OWN, PER_OTHER, size
+
+if TYPE_CHECKING:
+    from arenas.sumo.match import Sumo
+
+CONTROL = 0.02  # s, a control step
+NEAREST, FARTHEST = 0.35, 0.75  # where robots start on a diameter, as shares of the ring's radius
+WOBBLE = 0.25  # rad by which a team may stand off the diameter
+PITCH = 0.5  # m between the points of the lattice
+OVERLAPPING = 0.6  # m that HARL-A leaves between robots; an ANYmal is 1.05 m long
+
+
+class Kind(NamedTuple):
+    """What settings must know of a robot kind."""
+
+    hull: float  # m, the circle in which it stands at rest whichever way it faces: nearer centres may overlap
+    contacts: int  # Warp's contact slots for it
+    rows: int  # and constraint rows
+    feels: int  # numbers in its proprioception
+    acts: int  # numbers in its action
+
+
+KINDS = {
+    # Most seen in a world of four, scripted: rovers 28 contacts and 112 rows, ANYmals 18 and 72 (23 and 102 when they
+    # flail at random), two of each 32 contacts; 99.99 % of substeps have 27 and 110, 17 and 68, 22 and 88.
+    "leatherback": Kind(hull=0.59, contacts=12, rows=40, feels=2, acts=2),
+    "anymal": Kind(hull=1.18, contacts=12, rows=40, feels=45, acts=12),
+    "minitank": Kind(hull=0.50, contacts=8, rows=32, feels=6, acts=2),  # twice its barrel's length
+}
+
+
+@dataclass(frozen=True)
+class SumoReward:
+    """Rewards, which shape learning and never decide a match."""
+
+    scale: float = field(default=1.0, metadata={"above": 0.0})
+    """What a win is worth, and a loss costs; the paper's is 10."""
+    timeout_penalty: float = field(default=0.5, metadata={"low": 0.0})
+    """Taken from both teams when the time is up, as a share of `scale`; the paper's is 1, as much as a loss."""
+    approach: float = 0.2
+    """Dense: per metre gained towards the nearest enemy, mean over the team."""
+    push: float = 1.0
+    """Dense: per metre that enemies moved outwards less what the own robots did, means over the teams."""
+    clip: float = field(default=2.0, metadata={"low": 0.0})
+    """The dense part stays within ± this, per second."""
+
+
+@dataclass(frozen=True)
+class Defects:
+    """Defects of HARL-A's sumo that change what is learnt; each, when true, is reproduced. See `faithful`."""
+
+    spawn_overlap: bool = False
+    """On the lattice robots start 0.6 m apart, whatever their size: ANYmals may start inside each other."""
+    throttle_unclamped: bool = False
+    """`wheel_limit` is ignored: a large action drives the wheels as fast as the motors can."""
+    falls_uncounted: bool = False
+    """A fall ends the match and costs reward, but the score counts ring-outs alone: a fall is a draw."""
+
+
+@dataclass(frozen=True)
+class SumoRules:
+    """What decides a match: with the bodies, these make the arena's configuration hash."""
+
+    ring: tuple[float, float] = (1.6, 2.2)
+    """Ring radius in metres, drawn uniformly per episode."""
+    episode: float = field(default=10.0, metadata={"low": 1.0, "high": 600.0})
+    """Seconds until time is up: a draw."""
+    shrink_after: float = field(default=5.0, metadata={"low": 0.0})
+    """Seconds until the ring starts to shrink (at least `episode`: never)."""
+    shrink_to: float = field(default=0.2, metadata={"low": 0.05, "high": 1.0})
+    """Share of its radius that the ring has left when time is up. Two rovers fit into 0.3 m and more, and may wait."""
+    spawn: Literal["diameter", "lattice"] = "diameter"
+    """Where robots start: teams on opposite sides of a random diameter, or anywhere on a lattice, as in the paper."""
+    spacing: float = field(default=1.2, metadata={"low": 0.1, "high": 10.0})
+    """On the lattice: metres between the centres of two robots, at least."""
+    heading: Literal["random", "fixed"] = "random"
+    """Which way robots face at the start, each its own or all +y, as HARL-A's do: a policy then need not turn."""
+    decide_every: int = field(default=5, metadata={"low": 1, "high": 50})
+    """Control steps (50 Hz) for which an action is held: 5 decides at 10 Hz, 1 is the paper's 50 Hz."""
+    timestep: float = field(default=0.01, metadata={"low": 0.001, "high": 0.02})
+    """Physics timestep in seconds; a control step of 0.02 s must hold a whole number of them."""
+    drive_scale: float = field(default=60.0, metadata={"low": 1.0, "high": 100.0})
+    """Rovers: wheel speed for throttle 1, rad/s: 60 is 3.1 m/s; the paper's is 10."""
+    steer_scale: float = field(default=0.6, metadata={"low": 0.01, "high": 0.75})
+    """Rovers: steering angle for steering 1, rad; the paper's is 0.1."""
+    drive_limit: float | None = field(default=1.0, metadata={"above": 0.0})
+    """Rovers: throttle and steering are clipped to ± this before they are scaled; none, the paper's: not at all."""
+    wheel_limit: float | None = field(default=None, metadata={"above": 0.0})
+    """Rovers: wheel speed is clamped to ± this after scaling, rad/s; the paper's is 50. None: not at all."""
+    fall_height: float = field(default=0.10, metadata={"low": 0.0, "high": 0.5})
+    """ANYmals: one whose torso's centre of mass is below this, m, has fallen; a belly on the ground is at 0.1."""
+    fall_up: float = field(default=-1.0, metadata={"low": -1.0, "high": 1.0})
+    """ANYmals: one whose up axis has less than this of world z has fallen; -1, the paper's: no such rule."""
+    defects: Defects = field(default_factory=Defects)
+    """Defects of the original to be reproduced."""
+
+    def __post_init__(self) -> None:
+        """Check what depends on two fields or on their order."""
+        if not 0.5 <= self.ring[0] <= self.ring[1] <= 20.0:
+            raise ValueError(f"ring: {list(self.ring)} must be two radii in metres, 0.5 <= smallest <= largest <= 20")
+        steps = 0.02 / self.timestep
+        if abs(steps - round(steps)) > 1e-6:
+            raise ValueError(
+                f"timestep: 0.02 s is no whole number of {self.timestep} s; use 0.02, 0.01, 0.005 or 0.004"
+            )
+
+    @property
+    def apart(self) -> float:
+        """Metres between the centres of robots that start on the lattice."""
+        return OVERLAPPING if self.defects.spawn_overlap else self.spacing
+
+
+@dataclass(frozen=True)
+class SumoSettings:
+    """A sumo arena: which robots, by which rules, what they see, and what learning is told."""
+
+    name: str = "sumo-2v2"
+    """The arena's name."""
+    blue: tuple[str, ...] = ("leatherback", "leatherback")
+    """Blue's robots, by kind: leatherback, anymal, minitank; as many as you like."""
+    red: tuple[str, ...] = ("leatherback", "leatherback")
+    """Red's robots; the teams need be neither of one size nor of one kind."""
+    observation: Literal["rich", "slots"] = "rich"
+    """What robots see: all about everybody, or the paper's slots, which stages of a curriculum share."""
+    buffer: int = field(default=0, metadata={"low": 0, "high": 1000})
+    """Slots: numbers after them, zeros where no robot needs them; the paper's ablation has 0, 50 and 100."""
+    rules: SumoRules = field(default_factory=SumoRules)
+    """What decides a match."""
+    reward: SumoReward = field(default_factory=SumoReward)
+    """What shapes learning."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    """What differs between episodes in the robots' bodies."""
+
+    def __post_init__(self) -> None:
+        """Check the rosters, and that all robots find room at the start."""
+        check_roster("blue", self.blue)
+        check_roster("red", self.red)
+        hull = max(KINDS[kind].hull for kind in self.blue + self.red)
+        if self.rules.spawn == "lattice":
+            self._check_lattice(hull)
+        elif self.rules.ring[0] < (smallest := diameter_ring((len(self.blue), len(self.red)), hull)):
+            raise ValueError(_too_small(self.rules.ring[0], smallest))
+
+    def _check_lattice(self, hull: float) -> None:
+        rules, robots = self.rules, len(self.blue) + len(self.red)
+        if rules.apart < hull and not rules.defects.spawn_overlap:
+            raise ValueError(
+                f"rules.spacing: robots of {hull} m could start inside each other {rules.spacing} m apart; "
+                f"{hull} or more, or defects.spawn_overlap = true"
+            )
+        smallest = lattice_ring([rules.apart / 2] * robots)
+        if rules.ring[0] < smallest:
+            raise ValueError(_too_small(rules.ring[0], smallest))
+
+    @property
+    def timing(self) -> Timing:
+        """Control steps are HARL-A's 0.02 s."""
+        rules = self.rules
+        return Timing(rules.timestep, round(CONTROL / rules.timestep), rules.decide_every, rules.episode)
+
+    def outline(self) -> Outline:
+        """A match in a line."""
+        rules, low, high = self.rules, *self.rules.ring
+        shrinks = f", which shrinks from {rules.shrink_after:g} s on" if rules.shrink_after < rules.episode else ""
+        what = f"push the others out of a ring of {low:g} to {high:g} m{shrinks}"
+        sides = {"blue": (self.blue, self.red), "red": (self.red, self.blue)}
+        teams = {team: tuple(self._seat(kind, own, other) for kind in own) for team, (own, other) in sides.items()}
+        return Outline(what, teams, self.timing, "sumo")
+
+    def _seat(self, kind: str, own: Sequence[str], other: Sequence[str]) -> Seat:
+        """A robot of the team `own` against the team `other`."""
+        feels, acts = KINDS[kind].feels, KINDS[kind].acts
+        if self.observation == "rich":
+            return Seat(kind, feels + OWN + PER_OTHER * (len(own) - 1 + len(other)), acts)
+        return Seat(kind, size(kind, max(0, len(own) - 2) + max(0, len(other) - 2), self.buffer), acts)
+
+    def build(self, **where: Unpack[Where]) -> "Sumo":
+        """The arena itself."""
+        from arenas.sumo.match import Sumo
+
+        return Sumo(self, **where)
+
+
+def check_roster(field: str, kinds: Sequence[str], players: Collection[str] = KINDS) -> None:
+    """Raise ValueError, one line with the field's name, for a team without robots or with one that is no player."""
+    known = ", ".join(players)
+    if not kinds:
+        raise ValueError(f"{field}: a team needs at least one robot ({known})")
+    for kind in kinds:
+        if kind not in players:
+            near = difflib.get_close_matches(kind, players, 1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise ValueError(f"{field}: unknown robot {kind!r}: {hint}(robots: {known})")
+
+
+def pitch(size: int) -> float:
+    """Angle in radians between team-mates on a diameter: 1.2, or what leaves room between the teams."""
+    return min(1.2, (math.pi - 2 * WOBBLE) / size)
+
+
+def diameter_ring(sizes: tuple[int, int], hull: float) -> float:
+    """The smallest ring (radius, m) in which teams of these sizes, of robots this wide, start clear of each other."""
+    halves = [(size - 1) / 2 * pitch(size) for size in sizes]
+    between = math.pi - 2 * WOBBLE - sum(halves)  # rad, from the last of a team to the first of the other
+    angle = min([between, *(pitch(size) for size in sizes if size > 1)])
+    return hull / (2 * NEAREST * math.sin(angle / 2))
+
+
+def lattice_ring(clear: Sequence[float]) -> float:
+    """The smallest ring (radius, m) whose lattice surely has room for things of these `clear` radii, in their order.
+
+    Each thing placed rules out at most the points nearer to it than the two radii together; more points must lie in the
+    ring. Those are at least as many as cells, of which each point owns one, cover the disc that a cell's half diagonal
+    leaves of the ring.
+    """
+    ruled_out = max(sum(points_within(mine + theirs) for theirs in clear[:i]) for i, mine in enumerate(clear))
+    return PITCH / math.sqrt(2) + PITCH * math.sqrt(ruled_out / math.pi)
+
+
+def points_within(distance: float, pitch: float = PITCH) -> int:
+    """Points of a lattice of this pitch that are nearer than `distance` to one of them, itself among them."""
+    reach = range(-math.ceil(distance / pitch), math.ceil(distance / pitch) + 1)
+    return sum(pitch * math.hypot(i, j) < distance - 1e-4 for i in reach for j in reach)
+
+
+def _too_small(ring: float, smallest: float) -> str:
+    return (
+        f"rules.ring: robots could start inside each other in a ring of {ring} m;"
+        f" it must begin at {math.ceil(100 * smallest) / 100} m or more"
+    )
+
+
+def faithful(settings: SumoSettings) -> SumoSettings:
+    """The same arena with every defect of the original, that all robots face +y among them."""
+    defects = Defects(**{each.name: True for each in fields(Defects)})
+    return replace(settings, rules=replace(settings.rules, defects=defects, heading="fixed"))
+
+
+PAPER = SumoRules(
+    ring=(3.0, 6.0), episode=30.0, shrink_after=30.0, spawn="lattice", decide_every=1, timestep=0.005,
+    drive_scale=10.0, steer_scale=0.1, drive_limit=None, wheel_limit=50.0,
+)  # fmt: skip
+"""HARL-A's rules, without its defects."""
+OUTCOME = SumoReward(scale=10.0, timeout_penalty=1.0, approach=0.0, push=0.0)
+"""HARL-A's reward: the outcome alone."""
+
+
+def _paper(name: str, blue: tuple[str, ...], red: tuple[str, ...] | None = None) -> SumoSettings:
+    return SumoSettings(name, blue, blue if red is None else red, observation="slots", rules=PAPER, reward=OUTCOME)
+
+
+ARENAS = (
+    SumoSettings("sumo-1v1", ("leatherback",), ("leatherback",), rules=SumoRules(ring=(1.2, 1.8))),
+    SumoSettings("sumo-2v2"),
+    _paper("sumo-by-team", ("anymal", "anymal"), ("leatherback", "leatherback")),
+    _paper("sumo-within-team", ("anymal", "leatherback")),
+    _paper("sumo-2v2-anymal", ("anymal", "anymal")),
+    _paper("sumo-2v2-leatherback", ("leatherback", "leatherback")),
+    _paper("sumo-1v1-anymal", ("anymal",)),
+    _paper("sumo-1v1-leatherback", ("leatherback",)),
+)
