@@ -38,10 +38,12 @@ def replay(recording: Recording) -> Replay:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         xpos[t], xquat[t] = data.xpos, data.xquat
-    circles = [recording.markers[name] for name, kind in recording.header.marker_kinds.items() if kind == "circle"]
+    kinds, markers = recording.header.marker_kinds, recording.markers
+    circles = [markers[name] for name, kind in kinds.items() if kind == "circle"]
     reach = [np.hypot(circle[:, 0], circle[:, 1]) + circle[:, 2] for circle in circles]
     if not reach:
-        reach = [1.2 * np.hypot(xpos[0, :, 0], xpos[0, :, 1])]
+        balls = [markers[name][:1] for name, kind in kinds.items() if kind in ("sphere", "ball")]
+        reach = [1.2 * np.hypot(at[:, 0], at[:, 1]) for at in (xpos[0], *balls)]
     return Replay(model, xpos, xquat, radius=max(0.5, float(np.nanmax(np.concatenate(reach)))))
 
 

@@ -9,6 +9,7 @@ import json
 import math
 import numbers
 import shutil
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 Format = Literal["table", "json", "csv"]
 MISSING = "–"
+FOLDED = 8  # columns that text needs at least
+GAP = 3  # columns between two of a table's
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ def render(
     `columns` chooses and orders what is shown; without it, every key is, in the order of its first appearance. A data
     frame's index is shown if it has a name. `json` is a list of objects and `csv` has a header line, both under the
     keys and with full precision; not-a-number and infinity become null in JSON, which has no word for them. `width`
-    and `title` are for tables; the width is that of the terminal, or 80 without one.
+    and `title` are for tables; the width is that of the terminal, or 80 without one. Nothing is ever cut: text is
+    folded, and where even so the columns do not fit side by side the last ones are left out, and named below.
 
     Raises ValueError for an unknown format.
     """
@@ -86,10 +90,11 @@ def _table(records: list[dict[str, Any]], columns: list[Column], title: str, wid
     from rich.console import Console
     from rich.table import Table
 
+    columns, left_out = _fitting(records, columns, width)
     cells = [[record.get(c.key) for record in records] for c in columns]
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title or None, title_justify="left")
     for column, values in zip(columns, cells, strict=True):
-        is_number = any(map(_is_number, values)) and all(v is None or _is_number(v) for v in values)
+        is_number = _is_numeric(values)
         justify = "right" if is_number else "left"
         whole = is_number or column.whole
         table.add_column(column.title or column.key, justify=justify, no_wrap=whole, overflow="fold")
@@ -99,7 +104,26 @@ def _table(records: list[dict[str, Any]], columns: list[Column], title: str, wid
     out = io.StringIO()
     Console(file=out, width=width, color_system=None, markup=False, highlight=False, emoji=False).print(table)
     lines = [line.rstrip() for line in out.getvalue().splitlines()]
+    if left_out:
+        names = ", ".join(c.title or c.key for c in left_out)
+        lines += textwrap.wrap(f"{width} columns are too few for: {names}", width)
     return "\n".join([*lines, *([] if records else ["(none)"])]).strip("\n")
+
+
+def _fitting(records: list[dict[str, Any]], columns: list[Column], width: int) -> tuple[list[Column], list[Column]]:
+    """The columns that fit side by side, the first ones, and the others. Text that may be folded needs little room."""
+    needed = 0
+    for i, column in enumerate(columns):
+        values = [record.get(column.key) for record in records]
+        longest = max(map(len, [column.title or column.key, *_texts(values, column.decimals)]))
+        needed += (longest if column.whole or _is_numeric(values) else min(longest, FOLDED)) + (GAP if i else 2)
+        if needed > width and i:
+            return columns[:i], columns[i:]
+    return columns, []
+
+
+def _is_numeric(values: list[Any]) -> bool:
+    return any(map(_is_number, values)) and all(v is None or _is_number(v) for v in values)
 
 
 def _is_number(value: Any) -> bool:

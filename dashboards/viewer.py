@@ -4,32 +4,25 @@ The picture is made from the recorded joint positions on demand; a `.rrd` file i
 Boxes, spheres, ellipsoids, cylinders, capsules, planes and meshes are drawn; height fields are not.
 """
 
-import io
 import math
 import os
 import shutil
-import signal
-import socket
-import subprocess
 import sys
-import tempfile
-import time
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dashboards.errors import ViewerError
+from dashboards.headless import headless_viewer
 from dashboards.replay import Replay, replay, rgba, turn, visible_geoms
 from storage.recording import Recording
 
 TEAM_COLOURS = ((64, 132, 255), (255, 78, 66), (70, 190, 110), (240, 180, 50))
-MARKER_COLOUR = (255, 200, 60)
+TERM_COLOURS = ((102, 194, 165), (252, 141, 98), (141, 160, 203), (231, 138, 195), (166, 216, 84), (255, 217, 47))
+MARKER_COLOURS = {"circle": (255, 200, 60), "segment": (255, 70, 60), "sphere": (120, 200, 255), "ball": (255, 200, 60)}
 BACKGROUND = (17, 21, 30)
-TITLE_BAR = 36  # pixels, empty even where the top panel is hidden
 NO_WINDOW = "--save match.rrd for a file or --shot match.png for a picture"
-PATIENCE = 60.0  # s that a picture may take
 
 
 def write_rrd(recording: Recording, path: str | Path) -> None:
@@ -76,21 +69,14 @@ def shot(recording: Recording, path: str | Path, at_seconds: float, size: tuple[
     first, last, dt = recording.time[0], recording.time[-1], recording.header.dt
     if not first - dt <= at_seconds <= last + dt:  # the ends as a person writes them: 0, or 2 for 1.9999
         raise ViewerError(f"there is no second {at_seconds:g} in this match; it has {first:g} to {last:g}")
-    from PIL import Image
-
-    with tempfile.TemporaryDirectory() as folder:
-        rrd = Path(folder, "match.rrd")
-        scene = replay(recording)
-        stream = _stream(rr, recording)
+    with headless_viewer(size) as viewer:
+        rrd = viewer.folder / "match.rrd"
+        stream, scene = _stream(rr, recording), replay(recording)
         stream.save(rrd, default_blueprint=_blueprint(rr, recording, scene, panels=False))
         _draw(rr, stream, recording, scene)
         stream.disconnect()
-        with _headless_viewer(Path(folder), size) as viewer:
-            viewer.open(str(rrd))
-            viewer.set_time("sim_time", duration=float(np.clip(at_seconds, first, last)), play_state="paused")
-            picture = _settled_picture(viewer)
-    with Image.open(io.BytesIO(picture)) as image:
-        image.crop((0, TITLE_BAR, size[0], size[1] + TITLE_BAR)).save(path, format="PNG")
+        picture = viewer.picture(rrd, "sim_time", float(np.clip(at_seconds, first, last)))
+    Path(path).write_bytes(picture)
 
 
 def _rerun() -> Any:
@@ -113,17 +99,37 @@ def _draw(rr: Any, stream: Any, recording: Recording, scene: Replay) -> None:
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     stream.log("header", rr.TextDocument(_markdown(recording), media_type="text/markdown"), static=True)
     _draw_bodies(rr, stream, recording, scene)
-    _draw_circles(rr, stream, recording, thickness=0.006 * scene.radius)
+    _draw_markers(rr, stream, recording, thickness=0.006 * scene.radius)
     for what, values in (("score", recording.score), ("reward", recording.reward)):
         for team, name in enumerate(header.teams):
             path = rr.new_entity_path([what, name])
             line = rr.SeriesLines(colors=[_colour(team)], names=[name], widths=[2.0])
             stream.log(path, line, static=True)
             stream.send_columns(path, _times(rr, recording), rr.Scalars.columns(scalars=values[:, team]))
-    if recording.events:
-        steps = np.array([step for step, _ in recording.events])
-        text = rr.TextLog.columns(text=[text for _, text in recording.events], level=["INFO"] * len(steps))
-        stream.send_columns("events", _times(rr, recording, steps), text)
+    for number, (term, values) in enumerate(recording.terms.items()):
+        colour = TERM_COLOURS[number % len(TERM_COLOURS)]  # the same in every team's plot
+        for team, name in enumerate(header.teams):
+            path = rr.new_entity_path(["terms", name, term])
+            stream.log(path, rr.SeriesLines(colors=[colour], names=[term], widths=[2.0]), static=True)
+            stream.send_columns(path, _times(rr, recording), rr.Scalars.columns(scalars=values[:, team]))
+    _draw_events(rr, stream, recording)
+
+
+def _draw_events(rr: Any, stream: Any, recording: Recording) -> None:
+    """Events as lines of a log, and each text as a lane of its own on the time line, lit for a moment."""
+    if not recording.events:
+        return
+    steps = np.array([step for step, _ in recording.events])
+    text = rr.TextLog.columns(text=[text for _, text in recording.events], level=["INFO"] * len(steps))
+    stream.send_columns("events", _times(rr, recording, steps), text)
+    moment = max(1, recording.steps // 100)
+    for text in dict.fromkeys(text for _, text in recording.events):
+        lit = np.zeros(recording.steps + 1, bool)
+        for step, other in recording.events:
+            lit[step : step + moment] |= other == text
+        changes = np.flatnonzero(np.diff(lit[:-1], prepend=False))
+        states = rr.StateChange.columns(state=[text if lit[step] else "" for step in changes])
+        stream.send_columns(rr.new_entity_path(["lanes", text]), _times(rr, recording, changes), states)
 
 
 def _times(rr: Any, recording: Recording, steps: Any = slice(None)) -> list[Any]:
@@ -206,20 +212,37 @@ def _mesh(rr: Any, model: Any, geom: int) -> Any:
     )
 
 
-def _draw_circles(rr: Any, stream: Any, recording: Recording, thickness: float) -> None:
+def _draw_markers(rr: Any, stream: Any, recording: Recording, thickness: float) -> None:
     for name, kind in recording.header.marker_kinds.items():
-        if kind != "circle":
-            raise ViewerError(f"marker {name!r} is a {kind!r}; the viewer draws: 'circle'")
+        if kind not in MARKER_COLOURS:
+            known = ", ".join(map(repr, MARKER_COLOURS))
+            raise ViewerError(f"marker {name!r} is a {kind!r}; the viewer draws: {known}")
         values = recording.markers[name]
         changed = np.flatnonzero(np.r_[True, np.any(np.diff(values, axis=0) != 0, axis=1)])
-        angles = np.linspace(0, 2 * math.pi, 65)
-        x, y, radius = (values[changed, i, None] for i in range(3))
-        height = np.full((len(changed), len(angles)), thickness)  # on the ground rather than half in it
-        strips = np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles), height], axis=-1)
+        look, shapes = _marker(rr, kind, values[changed], thickness)
         path = rr.new_entity_path(["world", "markers", name])
-        look = rr.LineStrips3D.from_fields(colors=[MARKER_COLOUR], radii=[thickness])
         stream.log(path, look, static=True)
-        stream.send_columns(path, _times(rr, recording, changed), rr.LineStrips3D.columns(strips=list(strips)))
+        stream.send_columns(path, _times(rr, recording, changed), shapes)
+
+
+def _marker(rr: Any, kind: str, values: np.ndarray, thickness: float) -> tuple[Any, Any]:
+    """How a marker looks at all times, and its shapes over time from values (T, m)."""
+    colours = [MARKER_COLOURS[kind]]
+    if kind in ("sphere", "ball"):
+        fill = rr.components.FillMode.Solid if kind == "ball" else rr.components.FillMode.MajorWireframe
+        look = rr.Ellipsoids3D.from_fields(colors=colours, fill_mode=fill, line_radii=[0.3 * thickness])
+        return look, rr.Ellipsoids3D.columns(centers=values[:, :3], half_sizes=np.repeat(values[:, 3:], 3, axis=1))
+    look = rr.LineStrips3D.from_fields(colors=colours, radii=[thickness if kind == "circle" else 0.5 * thickness])
+    strips = _circles(values, thickness) if kind == "circle" else values.reshape(-1, 2, 3)
+    return look, rr.LineStrips3D.columns(strips=list(strips))
+
+
+def _circles(values: np.ndarray, thickness: float) -> np.ndarray:
+    """Circles (T, points, 3) from x, y and radius (T, 3), on the ground rather than half in it."""
+    angles = np.linspace(0, 2 * math.pi, 65)
+    x, y, radius = (values[:, i, None] for i in range(3))
+    height = np.full((len(values), len(angles)), thickness)
+    return np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles), height], axis=-1)
 
 
 def _colour(team: int) -> tuple[int, int, int]:
@@ -239,6 +262,16 @@ def _grid_spacing(radius: float) -> float:
     """About six cells across the arena, of a round size: 1, 2 or 5 times a power of ten, m."""
     power = 10.0 ** math.floor(math.log10(radius / 3))
     return power * max(step for step in (1, 2, 5) if step * power <= radius / 3)
+
+
+def _reward_views(rr: Any, recording: Recording) -> list[Any]:
+    """The teams' rewards in one plot, then one a team with the named terms that its reward is made of."""
+    rrb = rr.blueprint
+    views = [rrb.TimeSeriesView(origin="/reward", name="Reward", plot_legend=rrb.PlotLegend(visible=False))]
+    for team in recording.header.teams if recording.terms else ():
+        origin = rr.new_entity_path(["terms", team])
+        views.append(rrb.TimeSeriesView(origin=origin, name=f"Terms of {team}", plot_legend=rrb.Corner2D.LeftTop))
+    return views
 
 
 def _blueprint(rr: Any, recording: Recording, scene: Replay, panels: bool = True) -> Any:
@@ -266,8 +299,13 @@ def _blueprint(rr: Any, recording: Recording, scene: Replay, panels: bool = True
             rrb.Vertical(
                 rrb.TextDocumentView(origin="/header", name="Match"),
                 rrb.TimeSeriesView(origin="/score", name="Score", plot_legend=rrb.Corner2D.LeftTop),
-                rrb.TimeSeriesView(origin="/reward", name="Reward", plot_legend=rrb.PlotLegend(visible=False)),
-                rrb.TextLogView(origin="/events", name="Events", columns=rrb.TextLogColumns(text_log_columns=[body])),
+                rrb.Tabs(*_reward_views(rr, recording)),
+                rrb.Tabs(
+                    rrb.TextLogView(
+                        origin="/events", name="Events", columns=rrb.TextLogColumns(text_log_columns=[body])
+                    ),
+                    rrb.StateTimelineView(origin="/lanes", name="Time line"),
+                ),
                 row_shares=[1, 1, 1, 0.8],
             ),
             column_shares=[3, 1.15],
@@ -283,62 +321,3 @@ def _blueprint(rr: Any, recording: Recording, scene: Replay, panels: bool = True
         auto_views=False,
         auto_layout=False,
     )
-
-
-@contextmanager
-def _headless_viewer(folder: Path, size: tuple[int, int]):
-    """A viewer without a window, as a rerun ViewerClient; it ends with the block.
-
-    Started here rather than by `ViewerClient.spawn`, which cannot set the size of the picture and hides why it failed.
-    """
-    from rerun.experimental import ViewerClient
-
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    window = f"{size[0]}x{size[1] + TITLE_BAR}"
-    command = [sys.executable, "-m", "rerun_cli", "--headless", "--window-size", window, "--port", str(port)]
-    log = folder / "viewer.log"
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            [*command, "--bind", "127.0.0.1", "--hide-welcome-screen"],
-            env=os.environ | {"RERUN_APP_ONLY": "true", "RUST_LOG": "error"},  # it shows lesser messages as bubbles
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
-            start_new_session=True,  # the command starts the viewer as its child: they end as a group
-        )
-    try:
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            if process.poll() is not None or time.monotonic() > deadline:
-                raise ViewerError(_why_no_picture(log.read_text(errors="replace")))
-            try:
-                viewer = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-                viewer.get_state()
-                break
-            except (RuntimeError, ConnectionError, ValueError):
-                time.sleep(0.1)
-        yield viewer
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGTERM)
-        process.wait()
-
-
-def _why_no_picture(log: str) -> str:
-    if "adapter" in log or "render context" in log or "Vulkan" in log:
-        return "a picture needs a graphics driver (Vulkan); on Debian or Ubuntu: apt-get install mesa-vulkan-drivers"
-    last = (log.strip().splitlines() or ["it said nothing"])[-1]
-    return f"rerun's viewer did not start: {last}"
-
-
-def _settled_picture(viewer: Any) -> bytes:
-    """The first PNG that equals the one before it, once all is loaded: the viewer loads lazily while it draws."""
-    before, deadline = b"", time.monotonic() + PATIENCE
-    while time.monotonic() < deadline:
-        time.sleep(0.4)
-        picture = viewer.take_screenshot()
-        if picture == before and not viewer.get_state().loading:
-            return picture
-        before = picture
-    raise ViewerError(f"the picture was still changing after {PATIENCE:g} s; is this machine very busy?")

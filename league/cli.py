@@ -1,44 +1,60 @@
 """The command `league`. Each command's module is imported when it is asked for: a query must not wait for jax."""
 
 import os
+import signal
 import sys
+from collections.abc import Callable
 from importlib import import_module
+from keyword import iskeyword
 
 from league import environment
 
 environment.prepare()
 
 COMMANDS = {
-    "run": ("league.run", "run a league: train, play rating matches, go on where it stopped"),
-    "stop": ("league.control", "stop a running league, on whatever host it runs"),
-    "status": ("league.control", "what runs, who learns, which jobs wait or failed"),
-    "init": ("league.control", "write a commented league.toml"),
-    "ratings": ("league.tables", "the ratings table"),
-    "matches": ("league.tables", "the match log"),
-    "snapshots": ("league.tables", "the frozen policies"),
-    "watch": ("league.watch", "a recorded match in 3D"),
-    "arenas": ("league.control", "the arenas and what they look like to a policy"),
-    "check": ("league.control", "examine an arena, ours or your own: league check file.py:name"),
+    "run": ("league.commands.run", "run a league: train, play rating matches, go on where it stopped"),
+    "stop": ("league.commands.stop", "stop a running league, on whatever host it runs"),
+    "status": ("league.commands.status", "what runs, who learns, which jobs wait or were set aside"),
+    "init": ("league.commands.init", "write a commented league.toml"),
+    "ratings": ("league.commands.tables", "the ratings table"),
+    "matches": ("league.commands.tables", "the match log"),
+    "snapshots": ("league.commands.tables", "the frozen policies"),
+    "curves": ("league.commands.tables", "how learning went, iteration by iteration"),
+    "watch": ("league.commands.watch", "a recorded match in 3D"),
+    "pack": ("league.commands.moving", "a league, or all leagues of a store, as one file"),
+    "unpack": ("league.commands.moving", "the leagues in such a file, added to a store"),
+    "export": ("league.commands.exchange", "a frozen policy as a safetensors file, with its card"),
+    "import": ("league.commands.exchange", "such a file as a fixed player of a league"),
+    "arenas": ("league.commands.arenas", "the arenas; of one that is named, all about it"),
+    "check": ("league.commands.check", "examine an arena, ours or your own: league check file.py:name"),
 }
 
 
 def main(argv: list[str] | None = None) -> None:
     """Run a command and exit: 0 when it did what was asked, 2 after bad input, 130 after Ctrl-C."""
     args = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in args
-    args = [a for a in args if a != "--debug"]
+    sys.exit(guarded(lambda: _dispatch([a for a in args if a != "--debug"]), "--debug" in args))
+
+
+def guarded(action: Callable[[], int], debug: bool = False) -> int:
+    """Do something and return its exit code; tell what goes wrong in one line, or with `debug` in full."""
     try:
-        sys.exit(_dispatch(args))
+        return action()
     except KeyboardInterrupt:
-        sys.exit(130)
+        return 130
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left: nothing more to say
-        sys.exit(0)
+        return 0
     except Exception as error:
         if debug:
             raise
         print(f"league: {_one_line(error)}", file=sys.stderr)
-        sys.exit(2 if _is_expected(error) else 1)
+        return 2 if _is_expected(error) else 1
+
+
+def _leave(number: int, frame: object) -> None:
+    """End at once. Python drops a KeyboardInterrupt that comes while, say, a module is being imported."""
+    os._exit(128 + number)
 
 
 def _dispatch(args: list[str]) -> int:
@@ -58,7 +74,16 @@ def _dispatch(args: list[str]) -> int:
         hint = f"did you mean {near[0]}? " if near else ""
         print(f"league: unknown command {name!r}: {hint}(commands: {', '.join(COMMANDS)})", file=sys.stderr)
         return 2
-    return getattr(import_module(COMMANDS[name][0]), name)(args[1:])
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.default_int_handler:  # nothing has been begun that would have to be ended in order
+        signal.signal(signal.SIGINT, _leave)
+    try:
+        command = getattr(import_module(COMMANDS[name][0]), f"{name}_" if iskeyword(name) else name)
+        if name != "run":  # that one decides for itself when there is something to end
+            signal.signal(signal.SIGINT, before)
+        return command(args[1:])
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _help() -> str:
@@ -76,8 +101,8 @@ def _is_expected(error: Exception) -> bool:
     # The classes of modules that were never imported cannot have been raised.
     known: list[type] = [StorageError]
     for module, name in (
-        ("league.settings", "ConfigError"), ("arenas.arena", "ArenaError"), ("arenas.engines", "EngineError"),
-        ("dashboards.errors", "ViewerError"), ("league.daemon", "DaemonError"),
+        ("league.config.schema", "ConfigError"), ("arenas.errors", "ArenaError"), ("arenas.errors", "EngineError"),
+        ("dashboards.errors", "ViewerError"), ("league.daemon", "DaemonError"), ("league.prepare", "PrepareError"),
     ):  # fmt: skip
         if module in sys.modules:
             known.append(getattr(sys.modules[module], name))

@@ -1,19 +1,24 @@
 """A rating match job: pairs of snapshots play a batch of episodes, sides swapped, from recorded seeds."""
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-from agents.rollout import Games, make_play
+from agents.rollout import Games, make_play, scripts_of
 from arenas.arena import Arena
-from league.config import Config
-from league.policies import seat, thaw
-from league.versions import versions
-from storage.recording import Recording, RecordingHeader, to_bytes
+from league.config.experiment import Config
+from league.jobs import RatingMatch
+from league.policies import Policy, seat, thaw
+from league.replays import episode
+from storage.errors import StorageError
+from storage.recording import to_bytes
 from storage.records import ArenaKey, Match, PairCounts, Snapshot
 from storage.store import Store
+
+Seating = tuple[Snapshot, ...]  # who sits in each team
 
 
 class Referee:
@@ -23,59 +28,94 @@ class Referee:
         self.config, self.arena, self.league = config, arena, league
         self.pairings = config.rating.pairings
         self.each = config.rating.worlds // (2 * self.pairings)  # episodes per group
-        self.recorded = tuple(range(0, config.rating.worlds, 2 * self.each)) if config.rating.record else ()
+        visible = config.rating.record and bool(arena.scene.agents)  # a game without bodies has nothing to show
+        self.recorded = tuple(range(0, config.rating.worlds, 2 * self.each)) if visible else ()
         self._play = make_play(arena, self.recorded)
-        self._policies: dict[str, list] = {}
+        self._policies: OrderedDict[str, list[Policy]] = OrderedDict()  # by digest, those used last at the end
+        # What keeps its place in the compiled match though it sits nowhere now: network shapes met, and scripts.
+        scripted = config.rating.scripts != ()
+        self._shapes: dict[str, list[Policy]] = {
+            agent.name: [0] if scripted and scripts_of(arena, agent.kind) else [] for agent in arena.agents
+        }
 
     @property
     def key(self) -> ArenaKey:
         """What these matches are filed under."""
         return ArenaKey(self.arena.name, self.arena.config_hash, self.arena.engine.name)
 
-    def play(self, store: Store, pairs: Sequence[tuple[str, str]], seed: int) -> list[Match]:
+    def play(self, store: Store, task: RatingMatch) -> list[Match]:
         """Play the pairs and put recordings into the blobs. Pairs fewer than places play more episodes."""
-        snapshots = {s.digest: s for s in store.snapshots(self.league)}
-        room = [pairs[i % len(pairs)] for i in range(self.pairings)]
-        seats = [seating for a, b in room for seating in self._seatings(snapshots[a], snapshots[b])]
-        teams = [[self._thawed(store, seating[t]) for seating in seats] for t in range(2)]
-        games = jax.device_get(self._play(seat(self.arena.teams, teams), self._keys(seats, seed)))
+        snapshots = {s.name: s for s in store.snapshots(self.league)}
+        room = [task.pairs[i % len(task.pairs)] for i in range(self.pairings)]
+        met = [(_known(snapshots, a), None if b is None else _known(snapshots, b)) for a, b in room]
+        seats = [seating for a, b in met for seating in self._seatings(a, b)]
+        teams = [[self._thawed(store, seating[t]) for seating in seats] for t in range(len(self.arena.teams))]
+        crews = seat(self.arena.teams, teams, self._shapes)
+        self._remember(teams)
+        games = jax.device_get(self._play(crews, self._keys(seats, task.seed)))
         matches = []
-        for i, (a, b) in enumerate(room):
-            recording = self._record(store, games, i, seats[2 * i], seed) if self.recorded else None
-            matches.append(self._count(games, i, snapshots[a], snapshots[b], seats, seed, recording))
+        for i, (a, b) in enumerate(met):
+            kept = None
+            if task.record and self.recorded:
+                recording = episode(self.arena, games, i, seats[2 * i], self.league, task.seed, self.recorded[i])
+                kept = store.blobs.put(to_bytes(recording))
+            matches.append(self._count(games, i, a, b, seats, task, kept))
         return matches
 
-    def _seatings(self, a: Snapshot, b: Snapshot) -> list[tuple[Snapshot, Snapshot]]:
+    def _seatings(self, a: Snapshot, b: Snapshot | None) -> tuple[Seating, Seating]:
         """Who sits where in the pair's two groups: sides swapped if both rosters allow it, else twice the same."""
-        home, away = (team.roster for team in self.arena.teams)
-        possible = [(x, y) for x, y in ((a, b), (b, a)) if x.roster == home and y.roster == away]
+        rosters = tuple(team.roster for team in self.arena.teams)
+        orders: list[Seating] = [(a,)] if b is None else [(a, b), (b, a)]
+        possible = [order for order in orders if tuple(s.roster for s in order) == rosters]
         if not possible:
-            raise ValueError(f"{a.name} ({a.roster}) and {b.name} ({b.roster}) cannot meet in {self.arena.name}")
-        return [possible[0], possible[-1]]
+            with_whom = "" if b is None else f" and {b.name} ({b.roster})"
+            raise StorageError(
+                f"{a.name} ({a.roster}){with_whom} cannot play {self.arena.name}, whose sides are {', '.join(rosters)}"
+            )
+        return possible[0], possible[-1]
 
-    def _keys(self, seats: Sequence[tuple[Snapshot, Snapshot]], seed: int) -> jax.Array:
+    def _keys(self, seats: Sequence[Seating], seed: int) -> jax.Array:
         """A key per world; where a pair swaps sides, its second group repeats the first one's keys."""
         keys = jax.random.split(jax.random.key(seed), (len(seats), self.each))
         source = [k - 1 if k % 2 and _swapped(seats, k // 2) else k for k in range(len(seats))]
         return keys[np.array(source)].reshape(-1)
 
-    def _thawed(self, store: Store, snapshot: Snapshot) -> list:
+    def _thawed(self, store: Store, snapshot: Snapshot) -> list[Policy]:
+        """A snapshot's policies; those used last stay in memory, as many as the settings allow."""
         if snapshot.digest not in self._policies:
             self._policies[snapshot.digest] = thaw(store, snapshot, self.arena)
+            while len(self._policies) > self.config.storage.policies:
+                self._policies.popitem(last=False)
+        self._policies.move_to_end(snapshot.digest)
         return self._policies[snapshot.digest]
 
+    def _remember(self, teams: Sequence[Sequence[Sequence[Policy]]]) -> None:
+        """Keep a policy of every network shape that sat anywhere: what was compiled for all of them serves again."""
+        for team, seated in zip(self.arena.teams, teams, strict=True):
+            for i, agent in enumerate(team.agents):
+                known = self._shapes[agent.name]
+                for policy in (policies[i] for policies in seated):
+                    if all(_shape(policy) != _shape(other) for other in known):
+                        known.append(policy)
+
     def _count(
-        self, games: Games, i: int, a: Snapshot, b: Snapshot, seats: Sequence[tuple[Snapshot, Snapshot]], seed: int,
+        self, games: Games, i: int, a: Snapshot, b: Snapshot | None, seats: Sequence[Seating], task: RatingMatch,
         recording: str | None,
     ) -> Match:  # fmt: skip
         """Pair `i` as a match row, counted for A."""
-        results, valid = [], []  # of the two groups: A's wins minus losses, (each,)
+        results, valid, broke = [], [], [0, 0]  # of the two groups: A's wins minus losses, (each,); A's and B's voids
         for k in (2 * i, 2 * i + 1):
             worlds = slice(k * self.each, (k + 1) * self.each)
-            gap = games.score[worlds, 0] - games.score[worlds, 1]
-            results.append(np.sign(gap if seats[k][0] == a else -gap))
+            at = 0 if seats[k][0] is a else 1
+            if b is None:
+                results.append(np.where(games.score[worlds, 0] > 0.5, 1, np.where(games.score[worlds, 0] < 0.5, -1, 0)))
+            else:
+                results.append(np.sign(games.score[worlds, at] - games.score[worlds, 1 - at]))
             valid.append(~games.void[worlds])
-        at_home = [valid[j] & (seats[2 * i + j][0] == a) for j in range(2)]
+            alone = games.void[worlds, None] & games.culprits[worlds] & (games.culprits[worlds].sum(1) == 1)[:, None]
+            broke[0] += int(alone[:, at].sum())
+            broke[1] += 0 if b is None else int(alone[:, 1 - at].sum())
+        at_home = [valid[j] & (seats[2 * i + j][0] is a) for j in range(2)]
         result, home = np.concatenate(results), np.concatenate(at_home)
         ok = np.concatenate(valid)
         pairs = PairCounts()
@@ -87,42 +127,21 @@ class Referee:
         side_wins, side_draws, side_losses = (int((home & (result == r)).sum()) for r in (1, 0, -1))
         steps = int(games.decisions[2 * i * self.each : (2 * i + 2) * self.each].sum())
         return Match(
-            self.league, self.key, a.digest, b.digest, wins, draws, losses, int((~ok).sum()),
-            side_wins, side_draws, side_losses, pairs, seed, steps,
-            recording=recording,
+            self.league, self.key, a.name, None if b is None else b.name, wins, draws, losses, int((~ok).sum()),
+            side_wins, side_draws, side_losses, pairs, task.seed, steps, task.purpose, recording, *broke,
         )  # fmt: skip
 
-    def _record(self, store: Store, games: Games, i: int, sides: tuple[Snapshot, Snapshot], seed: int) -> str:
-        """Put the pair's first episode into the blobs, frame by frame to its end."""
-        world, arena, hold = self.recorded[i], self.arena, self.arena.timing.hold
-        decisions = int(games.decisions[world])
-        frames = jax.tree.map(lambda x: x[:decisions, :, i].reshape(decisions * hold, *x.shape[3:]), games.frames)
-        score = games.score[world]
-        void = bool(games.void[world])
-        names = [team.name for team in arena.teams]
-        first = int(np.argmax(score))
-        outcome = "void" if void else "draw" if score[0] == score[1] else f"{sides[first].name} wins as {names[first]}"
-        rewards = np.zeros((decisions * hold, len(names)))
-        rewards[hold - 1 :: hold] = games.reward[:decisions, i]
-        header = RecordingHeader(
-            self.league, 0, seed, world, self.key, tuple(s.name for s in sides), tuple(s.digest for s in sides),
-            tuple(names), tuple(tuple(a.name for a in team.agents) for team in arena.teams),
-            tuple(float(s) for s in score), outcome, arena.timing.control_interval, arena.marker_kinds, versions(),
-        )  # fmt: skip
-        scores = np.zeros_like(rewards)
-        scores[-1] = score
-        recording = Recording(
-            header, arena.scene.xml, frames.time, frames.qpos,
-            {name: np.repeat(a[:decisions, i], hold, axis=0) for name, a in games.actions.items()},
-            rewards, scores, frames.markers, [(decisions * hold - 1, outcome)],
-        )  # fmt: skip
-        return store.blobs.put(to_bytes(recording))
 
-
-def _swapped(seats: Sequence[tuple[Snapshot, Snapshot]], i: int) -> bool:
+def _swapped(seats: Sequence[Seating], i: int) -> bool:
     return seats[2 * i] != seats[2 * i + 1]
 
 
-def pairs_of(payload: Any) -> list[tuple[str, str]]:
-    """The pairs in a match job's payload."""
-    return [(a, b) for a, b in payload["pairs"]]
+def _known(snapshots: dict[str, Snapshot], name: str) -> Snapshot:
+    if name not in snapshots:
+        raise StorageError(f"the match names a snapshot {name!r} that the league does not have")
+    return snapshots[name]
+
+
+def _shape(policy: Policy) -> Any:
+    """What a compiled match depends on: the shapes of a network; of a script, that it is one."""
+    return None if isinstance(policy, int) else {name: np.shape(array) for name, array in policy.items()}

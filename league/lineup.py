@@ -5,76 +5,69 @@ other teams are past snapshots; only its own experience from there teaches anybo
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from agents.policy import Params
+from agents.policy import Crew, Params
 from arenas.arena import Arena
-from league.policies import seat, thaw
-from matchmaking.opponents import Opponents
-from storage.records import Player
+from league.jobs import TrainingTurn
+from league.policies import Policy, seat, thaw
+from storage.errors import StorageError
+from storage.records import Snapshot
 from storage.store import Store
 
 
-@dataclass(frozen=True)
-class Turn:
-    """What a training job says: iterations `first` to `last`, the teams that learn, and whose past they meet.
+class Lineup:
+    """The groups of a turn. `worlds` is the number asked for, rounded down to whole groups.
 
-    `past` holds, for each learning player, one entry per group of worlds: other player -> digest of its snapshot.
+    `seated` says who sits where, `seated[group][team]`: a player's name, or that of a past snapshot.
     """
 
-    first: int
-    last: int
-    learners: tuple[int, ...]
-    past: Mapping[str, Sequence[Mapping[str, str]]]
-
-    @classmethod
-    def of(cls, payload: Mapping[str, Any]) -> "Turn":
-        """The turn in a job's payload."""
-        return cls(payload["first"], payload["last"], tuple(payload["learners"]), payload["past"])
-
-
-class Lineup:
-    """The groups of a turn. `worlds` is the number asked for, rounded down to whole groups."""
-
-    def __init__(
-        self, turn: Turn, opponents: Opponents, worlds: int, players: Sequence[Player], store: Store, arena: Arena
-    ):
-        self.arena = arena
-        own = {player.team: turn.past.get(player.name, ()) for player in players}
-        drawn = max((len(groups) for groups in own.values()), default=0)
-        self.present = present_groups(opponents, drawn)
-        snapshots = {s.digest: s for s in store.snapshots(players[0].league)} if drawn else {}
-        # seats[team][group]: None for the player as it is now, else the past policies of its roster
-        self._seats: dict[int, list[list[Params] | None]] = {p.team: [None] * self.present for p in players}
-        self._owner: list[int | None] = [None] * self.present
-        for team in turn.learners:
-            for group in own[team]:
-                self._owner.append(team)
-                for player in players:
-                    past = group.get(player.name)
-                    self._seats[player.team].append(thaw(store, snapshots[past], arena) if past else None)
-        self.groups = len(self._owner)
+    def __init__(self, turn: TrainingTurn, present: int, worlds: int, store: Store, league: str, arena: Arena):
+        self.arena, self.turn = arena, turn
+        self.seated: list[tuple[str, ...]] = [turn.present] * present
+        self._owner: list[str | None] = [None] * present
+        for learner in turn.learners:
+            for past in turn.past.get(learner, ()):
+                self._owner.append(learner)
+                self.seated.append(tuple(name or own for name, own in zip(past, turn.present, strict=True)))
+        self.groups = len(self.seated)
+        if not self.groups or any("" in seats for seats in self.seated):
+            raise StorageError(
+                f"group {turn.group} has nobody to play against in some team: give every team a player in the group,"
+                " or let another group freeze its first snapshots before"
+            )
         self._each = max(1, worlds // self.groups)
         self.worlds = self._each * self.groups
+        past_names = {name for seats in self.seated for name in seats} - set(turn.present)
+        snapshots = {s.name: s for s in store.snapshots(league)} if past_names else {}
+        self._past: dict[str, list[Policy]] = {name: thaw(store, _known(snapshots, name), arena) for name in past_names}
 
-    def policies(self, now: Sequence[list[Params]]) -> dict[str, Params]:
-        """Stacked policies by agent name; `now[team]` are the players' present ones."""
-        seats = [[past or now[team] for past in self._seats[team]] for team in range(len(now))]
-        return seat(self.arena.teams, seats)
+    def crews(self, now: Mapping[str, Sequence[Params]], also: Mapping[str, Sequence[Params]]) -> dict[str, Crew]:
+        """Stacked policies by agent name; `now` are the present players' actors, `also` as for `seat`."""
+        everyone: dict[str, Sequence[Policy]] = {**self._past, **now}
+        seats = [[everyone[seats[team]] for seats in self.seated] for team in range(len(self.arena.teams))]
+        return seat(self.arena.teams, seats, also)
 
-    def worlds_of(self, team: int) -> slice | np.ndarray:
-        """The worlds from which a learning team learns."""
-        mine = [k for k, owner in enumerate(self._owner) if owner in (None, team)]
+    def worlds_of(self, learner: str) -> slice | np.ndarray:
+        """The worlds from which a player learns."""
+        mine = [k for k, owner in enumerate(self._owner) if owner in (None, learner)]
         if len(mine) == self.groups:
             return slice(None)
         return np.concatenate([np.arange(k * self._each, (k + 1) * self._each) for k in mine])
 
+    def past_share(self, learner: str) -> float:
+        """The share of the learner's worlds whose opponents are past snapshots."""
+        owned = [owner for owner in self._owner if owner in (None, learner)]
+        return sum(owner is not None for owner in owned) / len(owned)
 
-def present_groups(opponents: Opponents, drawn: int) -> int:
-    """Groups against present opponents beside `drawn` against past ones, so that the latter are a share `past`."""
-    if drawn == 0:
-        return 1
-    return round(drawn * (1 - opponents.past) / opponents.past)
+    def changed(self, before: Sequence[tuple[str, ...]]) -> np.ndarray:
+        """(worlds,) Where somebody else sits than in another lineup of as many groups."""
+        groups = [now != then for now, then in zip(self.seated, before, strict=True)]
+        return np.repeat(np.array(groups, bool), self._each)
+
+
+def _known(snapshots: Mapping[str, Snapshot], name: str) -> Snapshot:
+    if name not in snapshots:
+        raise StorageError(f"the turn names a snapshot {name!r} that the league does not have")
+    return snapshots[name]

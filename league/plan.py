@@ -1,186 +1,342 @@
 """What should be done next, read off the store: pure functions from what has happened to the next jobs.
 
 The plan lives in no process. Whoever manages a league asks again and again; a job's key says what it is for, and the
-store queues a key once, so that asking twice does no harm.
+store queues a key once, so that asking twice does no harm. What was set aside is not asked for again.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from zlib import crc32
 
 import numpy as np
 
-from league.config import Config
+from league.config.experiment import Config
+from league.jobs import RatingMatch, TrainingTurn, decode, encode
+from league.measures import can_meet, initial_opponents, learnt_enough, newest_snapshots, yardsticks
+from league.standing import Standing
 from matchmaking.opponents import draw
-from matchmaking.payoff import Payoff, tally
-from matchmaking.schedule import learners, next_due, next_swap, pairings
-from storage.records import Checkpoint, Job, Match, Player, Snapshot
-from storage.store import Store
+from matchmaking.schedule import first_phase, next_due, next_phase, pairings
+from storage.records import Job, Phase, Player, Snapshot
 
-TRAIN, MATCH = "train", "match"
+RATING = "(rating)"  # the group under which the store remembers the rating that follows training
+Pair = tuple[str, str | None]
 
 
 @dataclass(frozen=True)
-class Standing:
-    """A league as its store has it now."""
+class Plan:
+    """What to queue: jobs, and the phases of schedules that they belong to."""
 
-    players: Sequence[Player]
-    snapshots: Sequence[Snapshot]
-    checkpoints: Sequence[Checkpoint]  # the newest of each player
-    matches: Sequence[Match]
-    jobs: Sequence[Job]  # that wait, are worked on or have failed
-    batches: int = 0  # of rating matches that were ever queued
-
-    @classmethod
-    def of(cls, store: Store, league: str, known: Sequence[Match] = ()) -> "Standing":
-        """Read it; of the match log only what came after the matches that are `known`."""
-        players = store.players(league)
-        newest = [checkpoint for p in players if (checkpoint := store.checkpoint(league, p.name))]
-        log = [*known, *store.matches(league, "rating", after=known[-1].id if known else 0)]
-        jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
-        return cls(players, store.snapshots(league), newest, log, jobs, store.count_jobs(league, MATCH))
-
-    @property
-    def newest(self) -> Checkpoint | None:
-        """The checkpoint that has come furthest, None before the first turn."""
-        return max(self.checkpoints, key=lambda c: c.iteration, default=None)
-
-    def is_open(self, kind: str) -> bool:
-        """Whether a job of that kind waits or is being worked on."""
-        return any(job.kind == kind and job.state in ("queued", "leased") for job in self.jobs)
-
-    def history(self, player: str) -> list[Snapshot]:
-        """A player's snapshots, oldest first."""
-        return [s for s in self.snapshots if s.player == player]
-
-    def payoff(self) -> Payoff:
-        """Who beat whom, with a place for every snapshot."""
-        return tally(self.matches, players=[s.digest for s in self.snapshots])
+    jobs: tuple[Job, ...] = ()
+    phases: tuple[Phase, ...] = ()
 
 
-def trained_enough(config: Config, standing: Standing) -> bool:
-    """Whether the training budget is spent."""
-    newest = standing.newest
-    return newest is not None and config.budget.spent(newest.seconds, newest.step)
+# Training ------------------------------------------------------------------------------------------------------------
 
 
-def next_turn(config: Config, standing: Standing) -> Job | None:
-    """The next training job; None while one is open or when the budget is spent. The first only makes the players."""
-    if standing.is_open(TRAIN) or trained_enough(config, standing):
-        return None
-    if standing.newest is None:
-        first = last = 0
-        teams: Sequence[int] = range(len(standing.players))
-        past: dict[str, list[dict[str, str]]] = {}
-    else:
-        first = standing.newest.iteration
-        last = _turn_end(config, first, standing.newest)
-        teams = learners(config.training.schedule, first, len(standing.players))
-        past = {standing.players[t].name: _past(config, standing, standing.players[t], first) for t in teams}
-    payload = {"first": first, "last": last, "learners": list(teams), "past": past}
-    # The budget is in the key: a turn that a smaller budget cut short is another turn than the one that goes on.
-    return Job(config.league, TRAIN, f"{TRAIN}:{first}-{last}", payload, priority=1)
-
-
-def _turn_end(config: Config, first: int, newest: Checkpoint) -> int:
-    """A turn ends where a snapshot is due, the learners change or enough would be lost; or with the step budget."""
-    training = config.training
-    ends = [first + training.turn, next_due(first, training.snapshots_per_doubling)]
-    swap = next_swap(training.schedule, first)
-    if swap is not None:
-        ends.append(swap)
-    if config.budget.steps is not None:
-        per_iteration = training.worlds * training.rollout
-        ends.append(first + max(1, -(-(config.budget.steps - newest.step) // per_iteration)))
-    return min(ends)
-
-
-def _past(config: Config, standing: Standing, learner: Player, iteration: int) -> list[dict[str, str]]:
-    """Past opponents of a learning player: one entry per group of worlds, other player -> digest."""
-    opponents = config.training.opponents
-    if not opponents.past:
-        return []
-    rng = np.random.default_rng([config.seed, iteration, learner.team])
-    payoff = standing.payoff() if opponents.kind == "prioritized" else None
-    groups: list[dict[str, str]] = [{} for _ in range(opponents.groups)]
-    mine = standing.history(learner.name)[-1]
-    for other in standing.players:
-        history = standing.history(other.name)
-        if other == learner or not history:
-            continue
-        rates = None
-        if payoff is not None:
-            rates = payoff.scores()[payoff.index(mine.digest), [payoff.index(s.digest) for s in history]]
-        for group, i in zip(groups, draw(opponents.weights(len(history), rates), opponents.groups, rng), strict=True):
-            group[other.name] = history[i].digest
-    return groups
-
-
-def next_matches(config: Config, standing: Standing) -> list[Job]:
-    """The next rating jobs, one for each process that plays them; none while one is open or all is rated enough.
-
-    While players learn, new snapshots meet their initial one first, then the pool. When the budget is spent, each
-    newest snapshot first meets all by which progress is told, for `final_quota` episodes each.
-    """
-    if standing.is_open(MATCH) or not any(s.player for s in standing.snapshots):
-        return []
-    rating, payoff = config.rating, standing.payoff()
-    room = rating.pairings * max(1, config.workers.match)
-    roster = {s.digest: s.roster for s in standing.snapshots}
-    rosters = {player.roster for player in standing.players}
-
-    def may_meet(a: str, b: str) -> bool:
-        return len(rosters) == 1 or roster[a] != roster[b]
-
-    plan: list[tuple[str, str]] = []
-    if trained_enough(config, standing):
-        tell = {s.digest: [o.digest for o in yardsticks(config, standing, s)] for s in newest_snapshots(standing)}
-        plan = pairings(
-            payoff, list(tell), quota=rating.final_quota, per_batch=room, always=tell,
-            may_meet=lambda a, b: may_meet(a, b) and b in tell.get(a, ()),
-        )  # fmt: skip
-    if not plan:
-        first = {s.digest: [initial(standing, s).digest] for s in newest_snapshots(standing)}
-        everyone = [s.digest for s in standing.snapshots]
-        plan = pairings(payoff, everyone, quota=rating.quota, per_batch=room, always=first, may_meet=may_meet)
-    batches = [plan[i : i + rating.pairings] for i in range(0, len(plan), rating.pairings)]
-    return [_match(config, standing.batches + i, batch) for i, batch in enumerate(batches)]
-
-
-def newest_snapshots(standing: Standing) -> list[Snapshot]:
-    """Each player's newest snapshot."""
-    return [history[-1] for p in standing.players if (history := standing.history(p.name))]
-
-
-def initial(standing: Standing, snapshot: Snapshot) -> Snapshot:
-    """Whom the score against initial is measured with: the player's own first snapshot, or, where rosters differ, that
-    of an opponent (HARL-A's metric).
-    """
-    firsts = [standing.history(p.name)[0] for p in standing.players if standing.history(p.name)]
-    own = [s for s in firsts if s.player == snapshot.player]
-    alike = len({player.roster for player in standing.players}) == 1
-    return own[0] if alike else next(s for s in firsts if s.roster != snapshot.roster)
-
-
-def milestones(config: Config, standing: Standing, player: str) -> dict[str, Snapshot]:
-    """A player's first snapshot after each milestone of training time that it has passed."""
-    found = {}
-    for name, mark in zip(config.rating.milestones, config.rating.milestone_seconds, strict=True):
-        late = [s for s in standing.history(player) if s.seconds >= mark]
-        if late:
-            found[name] = late[0]
+def groups(standing: Standing) -> dict[str, list[Player]]:
+    """The players that learn together, by the name of their group."""
+    found: dict[str, list[Player]] = {}
+    for player in standing.players:
+        found.setdefault(player.group, []).append(player)
     return found
 
 
-def yardsticks(config: Config, standing: Standing, snapshot: Snapshot) -> list[Snapshot]:
-    """By whom a newest snapshot's progress is told: its initial one, those of the milestones, the scripts."""
-    player = str(snapshot.player)
-    own = [] if len({p.roster for p in standing.players}) > 1 else list(milestones(config, standing, player).values())
-    scripts = [s for s in standing.snapshots if s.script in config.rating.scripts]
-    found = [initial(standing, snapshot), *own, *scripts]
-    return [s for s in dict.fromkeys(found) if s.digest != snapshot.digest]
+def spent(config: Config, standing: Standing, group: str) -> tuple[float, int]:
+    """Seconds and environment steps that a group has been trained for.
+
+    A player's own count only grows while it learns: where all learn at once the group's is that of the one that has
+    come furthest, where they take turns it is the sum.
+    """
+    own = [standing.checkpoints[p.name] for p in groups(standing)[group] if p.name in standing.checkpoints]
+    total = max if config.training.schedule.kind == "simultaneous" else sum
+    return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
 
 
-def _match(config: Config, number: int, pairs: Sequence[tuple[str, str]]) -> Job:
-    seed = crc32(f"{config.seed}/{MATCH}/{number}".encode())
-    return Job(config.league, MATCH, f"{MATCH}:{number}", {"pairs": [list(pair) for pair in pairs], "seed": seed})
+def stands_still(config: Config, standing: Standing, group: str) -> bool:
+    """Whether a group has nothing to train: its budget is spent, nobody may learn, or its turn was set aside."""
+    players = groups(standing)[group]
+    if any(p.name not in standing.checkpoints for p in players):
+        return any(turn.group == group and not turn.iterations for turn in _turns(standing, "failed"))
+    if config.budget.spent(*spent(config, standing, group)) or learnt_enough(config, standing, players):
+        return True
+    learners = [p for p in players if p.name in _phase(config, standing, group).learners and p.paused is None]
+    bases = {p.name: standing.checkpoints[p.name].digest for p in learners}
+    return not learners or any(
+        turn.group == group and bases.items() <= turn.bases.items() and turn.dice == _dice(players)
+        for turn in _turns(standing, "failed")
+    )
+
+
+def trained_enough(config: Config, standing: Standing) -> bool:
+    """Whether nobody will learn any more under these settings."""
+    return all(stands_still(config, standing, group) for group in groups(standing))
+
+
+def is_training(standing: Standing) -> bool:
+    """Whether a training turn waits or is being worked on."""
+    return any(True for _ in _turns(standing, "queued", "leased"))
+
+
+def next_turns(config: Config, standing: Standing) -> Plan:
+    """A turn for every group that has none open and is not done; the first one only makes the players."""
+    jobs, phases = [], []
+    busy = {turn.group for turn in _turns(standing, "queued", "leased")}
+    for group, players in groups(standing).items():
+        if group in busy or stands_still(config, standing, group):
+            continue
+        if any(p.name not in standing.checkpoints for p in players):
+            turn = _first_turn(standing, group, players)
+        else:
+            phase = _phase(config, standing, group)
+            phases.append(phase)
+            turn = _turn(config, standing, group, players, phase)
+        # The number of iterations is in the key: a turn that a smaller budget cut short is not the one that goes on.
+        about = [group, turn.phase, turn.learners, turn.iterations, dict(turn.bases), turn.dice]
+        jobs.append(encode(config.league, turn, about, priority=1))
+    return Plan(tuple(jobs), tuple(phases))
+
+
+def _first_turn(standing: Standing, group: str, players: Sequence[Player]) -> TrainingTurn:
+    new = [p for p in players if p.name not in standing.checkpoints]
+    teams = 1 + max(p.team for p in standing.players)
+    return TrainingTurn(
+        group, -1, tuple(p.name for p in new), _seats(new, teams), {p.name: "" for p in new}, 0, {}, _dice(players)
+    )
+
+
+def _turn(config: Config, standing: Standing, group: str, players: Sequence[Player], phase: Phase) -> TrainingTurn:
+    learners = [p for p in players if p.name in phase.learners and p.paused is None]
+    teams = 1 + max(p.team for p in standing.players)
+    seats = _seats(players, teams)
+    at = {p.name: standing.checkpoints[p.name] for p in players}
+    return TrainingTurn(
+        group,
+        phase.number,
+        tuple(p.name for p in learners),
+        seats,
+        {name: checkpoint.digest for name, checkpoint in at.items()},
+        _iterations(config, standing, group, learners, phase),
+        {p.name: _past(config, standing, p, seats, at[p.name].iteration) for p in learners},
+        _dice(players),
+    )
+
+
+def _iterations(config: Config, standing: Standing, group: str, learners: Sequence[Player], phase: Phase) -> int:
+    """A turn ends where a snapshot is due, the phase ends or enough would be lost; or with the step budget."""
+    training, at = config.training, [standing.checkpoints[p.name].iteration for p in learners]
+    limits = [training.turn, *(next_due(i, training.snapshots_per_doubling) - i for i in at)]
+    if "iterations" in phase.until:
+        done = max(i - phase.since.get(p.name, 0) for p, i in zip(learners, at, strict=True))
+        limits.append(phase.until["iterations"] - done)
+    if config.budget.steps is not None and training.worlds is not None:
+        left = config.budget.steps - spent(config, standing, group)[1]
+        limits.append(-(-left // (training.worlds * training.rollout)))
+    return max(1, min(limits))
+
+
+def _past(
+    config: Config, standing: Standing, learner: Player, seats: Sequence[str], iteration: int
+) -> tuple[tuple[str, ...], ...]:
+    """Past opponents of a learning player: for each group of worlds the snapshot in every team, "" in its own."""
+    opponents = config.training.opponents
+    present, past = opponents.split()
+    if "" in seats:  # a team without a player in this group can only be its past
+        present, past = 0, present + past
+    if not past:
+        return ()
+    rng = np.random.default_rng([config.seed, iteration, crc32(learner.name.encode())])
+    lineups = [[""] * len(seats) for _ in range(past)]
+    for team in range(len(seats)):
+        pool = _pool(standing, team)
+        if team == learner.team or not pool:
+            continue
+        weights = opponents.weights(len(pool), _scores(config, standing, learner, pool))
+        for lineup, i in zip(lineups, draw(weights, past, rng), strict=True):
+            lineup[team] = pool[i].name
+    return tuple(map(tuple, lineups))
+
+
+def _pool(standing: Standing, team: int) -> list[Snapshot]:
+    """The snapshots of a team's players, oldest first."""
+    own = {p.name for p in standing.players if p.team == team}
+    return sorted((s for s in standing.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
+
+
+def _scores(config: Config, standing: Standing, learner: Player, pool: Sequence[Snapshot]) -> np.ndarray | None:
+    """The learner's newest snapshot's score against each of the pool, where the rule asks for it."""
+    if config.training.opponents.kind != "prioritized":
+        return None
+    mine = max((s for s in standing.snapshots if s.player == learner.name), key=lambda s: s.iteration)
+    payoff = standing.ladder.payoff
+    return payoff.scores()[payoff.index(mine.name), [payoff.index(s.name) for s in pool]]
+
+
+def _phase(config: Config, standing: Standing, group: str) -> Phase:
+    """The phase that the group is in, or goes over to now."""
+    players = groups(standing)[group]
+    schedule = config.training.schedule
+    able = {p.team: p.name for p in players if p.paused is None}
+    iterations = {p.name: standing.checkpoints[p.name].iteration for p in players}
+    phase = standing.phases.get(group)
+    if phase is None:
+        return first_phase(schedule, config.league, group, able, iterations)
+    return next_phase(schedule, phase, able, iterations) or phase
+
+
+def _seats(players: Sequence[Player], teams: int) -> tuple[str, ...]:
+    by_team = {p.team: p.name for p in players}
+    return tuple(by_team.get(team, "") for team in range(teams))
+
+
+def _dice(players: Sequence[Player]) -> int:
+    return sum(p.setbacks for p in players)
+
+
+def _turns(standing: Standing, *states: str) -> Iterator[TrainingTurn]:
+    for job in standing.jobs:
+        if job.kind == TrainingTurn.kind and job.state in states:
+            task = decode(job)
+            assert isinstance(task, TrainingTurn)
+            yield task
+
+
+# Rating --------------------------------------------------------------------------------------------------------------
+
+
+def is_rating(standing: Standing) -> bool:
+    """Whether a rating match waits or is being played."""
+    return any(job.kind == RatingMatch.kind and job.state in ("queued", "leased") for job in standing.jobs)
+
+
+def rating_phase(config: Config, standing: Standing) -> Phase:
+    """The rating that follows training, with the seconds it has left: a restart does not give it new ones.
+
+    What it has used is the time from the start of the phase in the store to the last rating match since then; so time
+    in which the league was not running costs nothing.
+    """
+    since = {name: checkpoint.iteration for name, checkpoint in standing.checkpoints.items()}
+    kept = standing.phases.get(RATING)
+    budget = config.budget.rate_seconds
+    if kept is None or dict(kept.since) != since or kept.until.get("budget") != _told(budget):
+        left = budget
+    else:
+        left = math.inf if kept.until["seconds"] is None else kept.until["seconds"]
+        left -= max(0.0, standing.played - kept.created)
+    number = 0 if kept is None else kept.number + 1
+    return Phase(config.league, RATING, number, (), since, {"seconds": _told(max(0.0, left)), "budget": _told(budget)})
+
+
+def _told(seconds: float) -> float | None:
+    return None if seconds == math.inf else seconds  # JSON has no infinity
+
+
+def next_matches(config: Config, standing: Standing) -> Plan:
+    """The next rating jobs, one for each process that plays them; none while one is open or all is rated enough.
+
+    While players learn, new snapshots meet those by whom the score against initial is told, then the pool. When nobody
+    learns any more, each newest snapshot first meets all by which progress is told, for `final_quota` episodes each.
+    Pairs of a batch that was set aside are played one by one, and what was set aside alone is not played again.
+    """
+    if is_rating(standing) or not any(s.player for s in standing.snapshots):
+        return Plan()
+    alone, never = _set_aside(standing)
+    if alone:
+        return Plan(tuple(_match(config, standing, [pair]) for pair in alone))
+    rating = config.rating
+    room = rating.pairings * max(1, config.workers.match)
+    pairs = [pair for pair in _wanted(config, standing, room + len(never)) if pair not in never][:room]
+    batches = [pairs[i : i + rating.pairings] for i in range(0, len(pairs), rating.pairings)]
+    return Plan(tuple(_match(config, standing, batch) for batch in batches))
+
+
+def _wanted(config: Config, standing: Standing, room: int) -> list[Pair]:
+    if standing.one_team:
+        return _trials(config, standing)[:room]
+    frozen = {s.name: s for s in standing.snapshots}
+
+    def may_meet(a: str, b: str) -> bool:
+        return can_meet(frozen[a], frozen[b], standing.players)
+
+    found: Sequence[Pair] = []
+    if trained_enough(config, standing):
+        tell = {s.name: [o.name for o in yardsticks(config, standing, s)] for s in newest_snapshots(standing)}
+        found = pairings(
+            standing.ladder, list(tell), quota=config.rating.final_quota, per_batch=room, always=tell,
+            may_meet=lambda a, b: may_meet(a, b) and b in tell.get(a, ()),
+        )  # fmt: skip
+    if not found:
+        first = {
+            s.name: [o.name for o in initial_opponents(s, standing.snapshots, standing.players)]
+            for s in newest_snapshots(standing)
+        }
+        everyone = [s.name for s in standing.snapshots]
+        found = pairings(
+            standing.ladder, everyone, quota=config.rating.quota, per_batch=room, always=first, may_meet=may_meet
+        )
+    return list(found)
+
+
+def _trials(config: Config, standing: Standing) -> list[Pair]:
+    """In an arena of one team: the snapshots that have not shown often enough whether they succeed, newest first."""
+    quota = config.rating.final_quota if trained_enough(config, standing) else config.rating.quota
+    newest = {s.name for s in newest_snapshots(standing)}
+    order = sorted(standing.snapshots, key=lambda s: (s.name not in newest, -s.iteration, s.name))
+    return [
+        (s.name, None)
+        for s in order
+        if standing.ladder.tried(s.name) < (quota if s.name in newest else config.rating.quota)
+    ]
+
+
+def _set_aside(standing: Standing) -> tuple[list[Pair], set[Pair]]:
+    """Pairs of batches that failed, to be tried alone now; and those that failed alone.
+
+    A failed batch whose pairs have met since says nothing any more: its key is no longer that of the same pairs.
+    """
+    together: dict[Pair, None] = {}
+    never: set[Pair] = set()
+    for job in standing.jobs:
+        if job.kind == RatingMatch.kind and job.state == "failed":
+            task = decode(job)
+            assert isinstance(task, RatingMatch)
+            if len(task.pairs) == 1:
+                never.add(task.pairs[0])
+            elif encode(job.league, task, _about(standing, task.pairs)).key == job.key:
+                together |= dict.fromkeys(task.pairs)
+    return [pair for pair in together if pair not in never], never
+
+
+def _episodes(standing: Standing, pair: Pair) -> int:
+    """Episodes that the pair has played, void ones included."""
+    a, b = pair
+    if b is None:
+        return standing.ladder.tried(a)
+    payoff = standing.ladder.payoff
+    return int(payoff.episodes[payoff.index(a), payoff.index(b)])
+
+
+def _about(standing: Standing, pairs: Sequence[Pair]) -> list[list]:
+    """What a batch is for. What was played so far is part of it: the same pairs may meet again, for other games."""
+    return [[*pair, _episodes(standing, pair)] for pair in pairs]
+
+
+def _match(config: Config, standing: Standing, pairs: Sequence[Pair]) -> Job:
+    about = _about(standing, pairs)
+    seed = crc32(f"{config.seed}/{about}".encode())
+    return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record), about)
+
+
+def missing(config: Config, standing: Standing) -> Mapping[str, list[str]]:
+    """Newest snapshot -> yardsticks that it has not met for the quota: rating was cut short."""
+    return {
+        s.name: left
+        for s in newest_snapshots(standing)
+        if (
+            left := [
+                o.name
+                for o in yardsticks(config, standing, s)
+                if _episodes(standing, (s.name, o.name)) < config.rating.quota
+            ]
+        )
+    }

@@ -5,11 +5,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from agents.policy import Params, learned, scripted, stack
-from arenas.arena import Arena, TeamSpec, check_scripts
+from agents.policy import Crew, Params, crew, learned
+from agents.rollout import scripts_of
+from arenas.arena import Arena, check_scripts
+from arenas.errors import ArenaError
+from arenas.state import TeamSpec
 from storage import arrays
 from storage.records import Snapshot
 from storage.store import Store
+
+Policy = Params | int  # a learned actor, or the number of the agent's script
 
 
 def freeze(policies: Sequence[Mapping[str, np.ndarray]]) -> bytes:
@@ -19,35 +24,51 @@ def freeze(policies: Sequence[Mapping[str, np.ndarray]]) -> bytes:
     )
 
 
-def thaw(store: Store, snapshot: Snapshot, arena: Arena) -> list[Params]:
-    """A snapshot's policies, one per agent of its roster."""
-    agents = snapshot.roster.count("+") + 1
+def thaw(store: Store, snapshot: Snapshot, arena: Arena) -> list[Policy]:
+    """A snapshot's policies, one per agent of its roster; bytes that do not verify raise DamagedBlob."""
     data = store.blobs.get(snapshot.digest)
     if snapshot.script:
-        check_scripts(arena, snapshot.script)
-        return [scripted(list(arena.scripts()).index(snapshot.script))] * agents
+        able = check_scripts(arena, snapshot.script)
+        kinds = [agent.partition(":")[0] for agent in snapshot.roster.split("+")]
+        if missing := set(kinds) - set(able):
+            raise ArenaError(f"arena {arena.name} has no script {snapshot.script!r} for {', '.join(sorted(missing))}")
+        return [list(scripts_of(arena, kind)).index(snapshot.script) for kind in kinds]
     tensors = arrays.from_bytes(data)
-    prefixes = [f"{i}/" for i in range(agents)]
+    prefixes = [f"{i}/" for i in range(snapshot.roster.count("+") + 1)]
     return [learned({k.removeprefix(p): v for k, v in tensors.items() if k.startswith(p)}) for p in prefixes]
 
 
-def add_scripts(store: Store, league: str, arena: Arena, names: Sequence[str]) -> None:
-    """Put scripted opponents into the pool, once for every roster that can play them."""
-    rosters = {team.roster: team.name for team in arena.teams}
+def add_scripts(store: Store, league: str, arena: Arena, names: Sequence[str] | None) -> None:
+    """Put scripted opponents into the pool, once for every roster that can play them; None: all that there are.
+
+    Raises ArenaError for a script that no team of the arena can play.
+    """
+    rosters = {team.roster: team for team in arena.teams}
     snapshots = []
-    for name in names:
+    for name in arena.scripts() if names is None else names:
         check_scripts(arena, name)
-        for roster, team in rosters.items():
+        able = {roster: team for roster, team in rosters.items() if name in arena.playable(team)}
+        if not able and names is not None:
+            raise ArenaError(f"no team of arena {arena.name} has a script {name!r} for all its robots")
+        for roster, team in able.items():
             digest = store.blobs.put(json.dumps({"script": name, "roster": roster}, sort_keys=True).encode())
-            title = name if len(rosters) == 1 else f"{name}:{team}"
-            snapshots.append(Snapshot(digest, league, title, roster, script=name))
+            title = name if len(rosters) == 1 else f"{name}:{team.name}"
+            snapshots.append(Snapshot(league, title, digest, roster, script=name, origin="scripted"))
     store.add_snapshots(snapshots)
 
 
-def seat(teams: Sequence[TeamSpec], seats: Sequence[Sequence[list[Params]]]) -> dict[str, Params]:
-    """Stacked policies by agent name for K groups of worlds: `seats[team][k]` is who plays that team in group k."""
+def seat(
+    teams: Sequence[TeamSpec],
+    seats: Sequence[Sequence[Sequence[Policy]]],
+    also: Mapping[str, Sequence[Policy]] | None = None,
+) -> dict[str, Crew]:
+    """Crews by agent name for K groups of worlds: `seats[team][k]` is who plays that team in group k.
+
+    `also` names, by agent, policies whose architectures shall have a place although they sit nowhere now: then the
+    next lineup, in which they do sit, needs no second compile.
+    """
     return {
-        agent.name: stack([policies[i] for policies in seats[t]])
+        agent.name: crew([policies[i] for policies in seats[t]], (also or {}).get(agent.name, ()))
         for t, team in enumerate(teams)
         for i, agent in enumerate(team.agents)
     }

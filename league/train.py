@@ -7,8 +7,8 @@ critic and a value normaliser of its own. What is added: in some worlds the othe
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from zlib import crc32
 
@@ -16,148 +16,294 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from agents.batch import Batch
 from agents.bridge import team_batch, to_jax
+from agents.errors import Diverged
 from agents.happo import Learner
-from agents.rollout import make_reset, make_rollout
-from arenas.arena import Arena, State
-from league.config import Config
-from league.lineup import Lineup, Turn
+from agents.policy import Crew
+from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
+from arenas.arena import Arena
+from arenas.state import TeamSpec
+from league import heirs
+from league.config import experiment as configuration
+from league.config.experiment import Config
+from league.config.sections import named_players
+from league.jobs import TrainingTurn
+from league.lineup import Lineup
 from league.policies import freeze
 from matchmaking.schedule import next_due
 from storage import arrays
-from storage.records import Checkpoint, Lease, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Player, Snapshot
 from storage.store import Store
 
 
-@dataclass
+@dataclass(frozen=True)
 class Counters:
-    """How far the league has come, as the newest checkpoint's row says it."""
+    """How far a player has come, as its newest checkpoint's row says it."""
 
     iteration: int = 0
-    steps: int = 0  # decisions × worlds
+    steps: int = 0  # decisions × worlds that it learnt from
     seconds: float = 0.0  # of training
 
 
 class Progress(NamedTuple):
     """How a turn stands after an iteration."""
 
-    counters: Counters
+    counters: Mapping[str, Counters]  # of the learners
     steps_per_second: float  # in this turn, learning included
-    diagnostics: dict[str, dict[str, float]]  # player -> losses and the like
+    points: tuple[CurvePoint, ...]  # of this iteration
+
+
+class PlayerDiverged(Exception):  # noqa: N818  (a sentence: "the player diverged")
+    """A player's learning went bad; the store still holds its last good checkpoint."""
+
+    def __init__(self, player: str, reason: object):
+        super().__init__(f"{player} diverged: {reason}")
+        self.player = player
 
 
 class Trainer:
     """One process's learners, compiled rollout and worlds. The store's checkpoints are the truth about the learners."""
 
-    def __init__(self, config: Config, arena: Arena, players: Sequence[Player]):
-        self.config, self.arena, self.players = config, arena, players
-        self.learners = [_new_learner(config, arena, player.team) for player in players]
-        self.counters = Counters()
-        self.worlds: State | None = None
-        self._at = [""] * len(players)  # digests of the checkpoints that the learners stand at
-        self._reset = make_reset(arena)
+    def __init__(self, config: Config, arena: Arena, players: Sequence[Player], worlds: int):
+        self.config, self.arena, self.asked = config, arena, worlds
+        self.players = {player.name: player for player in players}
+        self.learners = {player.name: _new_learner(config, arena, player) for player in players}
+        self.counters = {player.name: Counters() for player in players}
+        self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
+        self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
+        self._points: list[CurvePoint] = []
+        self._parents: Mapping[str, str | None] = {}  # of players that go on from others
+        self.interrupted = False  # whether the last turn was told to stop before its end
+        self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
+        stagger = config.training.stagger
+        self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
         self._rollout = make_rollout(arena, config.training.rollout)
-        self._compiled: dict[tuple[int, int], Callable] = {}
+        self._compiled: dict[object, Callable] = {}
+        self._shapes = self._architectures()
 
-    def turn(self, store: Store, turn: Turn, stop: Callable[[], bool]) -> Iterator[Progress]:
-        """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so."""
-        training = self.config.training
-        self._restore(store)
-        lineup = Lineup(turn, training.opponents, training.worlds, self.players, store, self.arena)
-        collect = self._prepare(lineup, turn)
-        counters = self.counters
-        began, before = time.monotonic(), Counters(*astuple(counters))
+    def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
+        """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so.
 
-        for iteration in range(turn.first, turn.last):
-            policies = lineup.policies([to_jax(learner.policies()) for learner in self.learners])
-            self.worlds, trajectory = collect(policies, self.worlds, random_key(self.config.seed, "rollout", iteration))
-            diagnostics = {}
-            for team in turn.learners:
-                batch = team_batch(trajectory, self.arena.teams[team], team, lineup.worlds_of(team), self._shaping())
-                diagnostics[self.players[team].name] = self.learners[team].update(batch)
-
-            elapsed = time.monotonic() - began
-            counters.iteration = iteration + 1
-            counters.steps += lineup.worlds * training.rollout
-            counters.seconds = before.seconds + elapsed
-            yield Progress(counters, (counters.steps - before.steps) / elapsed, diagnostics)
-            if stop() or self._enough(before):
-                break
-
-    def commit(self, store: Store, lease: Lease, turn: Turn) -> None:
-        """Write the turn's checkpoints, and snapshots where they are due, and end the job, in one transaction.
-
-        Raises LeaseLost if the job has meanwhile gone to somebody else; then nothing was written.
+        Raises PlayerDiverged where a player's learning went bad.
         """
-        c = self.counters
+        self._restore(store, turn)
+        self.interrupted = False
+        if turn.iterations == 0:
+            self._begin(store, turn)
+            return
+        lineup = self._lineup(store, turn)
+        worlds, collect = self._prepare(lineup, turn)
+        began, before, steps = time.monotonic(), dict(self.counters), 0
+
+        for left in reversed(range(turn.iterations)):
+            worlds, trajectory = collect(self._crews(lineup), worlds, self._key(turn, "rollout"))
+            figures = self._learn(turn, trajectory, lineup)
+            if self.config.training.resting_critics:
+                for name in self._resting(turn):
+                    self.learners[name].update_critic_only(self._batch(name, trajectory, lineup))
+
+            steps += lineup.worlds * self.config.training.rollout
+            elapsed = time.monotonic() - began
+            points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
+            self._points.extend(points)
+            yield Progress({name: self.counters[name] for name in turn.learners}, steps / elapsed, points)
+            if self._enough(turn, before):
+                break
+            if left and stop():
+                self.interrupted = True
+                break
+        self._worlds[turn.group] = worlds, lineup.seated
+
+    def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
+        """Write the turn's checkpoints, curves, and snapshots where they are due, and end the job: one transaction.
+
+        Raises LeaseLost if the job, or a player, has meanwhile gone on elsewhere; then nothing was written.
+        """
+        learnt = [*turn.learners, *(self._resting(turn) if self.config.training.resting_critics else ())]
+        key = ArenaKey(self.arena.name, self.arena.config_hash, self.arena.engine.name)
         checkpoints, snapshots = [], []
-        for team in turn.learners if c.iteration else range(len(self.players)):
-            player, learner = self.players[team], self.learners[team]
+        for name in learnt:
+            learner, at = self.learners[name], self.counters[name]
             digest = store.blobs.put(arrays.to_bytes(learner.state()))
-            checkpoints.append(Checkpoint(player.league, player.name, digest, c.steps, c.iteration, c.seconds))
-            if self._snapshot_due(store, player):
-                actors = [{k: v.cpu().numpy() for k, v in actor.items()} for actor in learner.policies()]
-                frozen, name = store.blobs.put(freeze(actors)), f"{player.name}@{c.iteration}"
-                snapshots.append(
-                    Snapshot(
-                        frozen, player.league, name, player.roster, player.name, None, c.steps, c.iteration, c.seconds
-                    )
-                )
-            self._at[team] = digest
-        store.finish(lease, checkpoints=checkpoints, snapshots=snapshots)
+            league = self.players[name].league
+            checkpoints.append(Checkpoint(league, name, digest, at.steps, at.iteration, at.seconds, key))
+        for name in filter(None, turn.present):
+            snapshots.extend(self._snapshot(store, self.players[name], key, turn))
+        bases = {name: turn.bases[name] for name in learnt}
+        keep = self.config.storage.checkpoints
+        store.finish(lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points, keep=keep)
+        self._points = []
+        self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
 
-    # Inside ----------------------------------------------------------------------------------------------------------
+    # An iteration ----------------------------------------------------------------------------------------------------
 
-    def _restore(self, store: Store) -> None:
-        """Bring every learner to its newest checkpoint, unless it stands there already."""
-        newest = Checkpoint("", "", "", 0, 0, 0.0)
-        for i, player in enumerate(self.players):
-            checkpoint = store.checkpoint(player.league, player.name)
-            if checkpoint is None:
+    def _learn(self, turn: TrainingTurn, trajectory: Trajectory, lineup: Lineup) -> dict[str, dict[str, float]]:
+        """One HAPPO update of every learner, and what the iteration was like for each.
+
+        Raises PlayerDiverged. Where no world stayed sound nobody can learn: then it is whose robots alone went bad.
+        """
+        figures: dict[str, dict[str, float]] = {}
+        diverged: dict[str, object] = {}
+        for name in turn.learners:
+            figures[name] = outcomes(trajectory, self.players[name].team, lineup.worlds_of(name))
+            try:
+                losses = self.learners[name].update(self._batch(name, trajectory, lineup))
+            except Diverged as error:
+                diverged[name] = error
                 continue
-            if checkpoint.digest != self._at[i]:
-                self.learners[i].load(arrays.from_bytes(store.blobs.get(checkpoint.digest)))
-                self._at[i] = checkpoint.digest
-                self.worlds = None  # they belong to a history that is not the store's
-            newest = max(newest, checkpoint, key=lambda c: c.iteration)
-        self.counters = Counters(newest.iteration, newest.step, newest.seconds)
+            if not losses:
+                diverged.setdefault("", f"physics became unstable in every world of {name}")
+            figures[name] |= {**losses, "past_share": lineup.past_share(name)}
+        if "" in diverged and len(diverged) == 1:
+            culprit = max(turn.learners, key=lambda name: figures[name]["own_voids"])
+            raise PlayerDiverged(culprit, diverged[""])
+        for name in filter(None, diverged):
+            raise PlayerDiverged(name, diverged[name])
+        return figures
 
-    def _prepare(self, lineup: Lineup, turn: Turn) -> Callable:
-        """Make worlds and compile the rollout, so that neither counts as training time."""
-        if self.worlds is None or self.config.deterministic or self.worlds.done.shape[0] != lineup.worlds:
-            keys = jax.random.split(random_key(self.config.seed, "worlds", turn.first), lineup.worlds)
-            self.worlds = jax.block_until_ready(self._reset(keys))
-        shape = (lineup.groups, lineup.worlds)
-        if shape not in self._compiled:
-            policies = lineup.policies([to_jax(learner.policies()) for learner in self.learners])
-            self._compiled[shape] = self._rollout.lower(policies, self.worlds, jax.random.key(0)).compile()
-            if self.arena.engine.name == "warp":  # its kernels are compiled and loaded when they first run
-                copy = jax.tree.map(jnp.copy, self.worlds)
-                jax.block_until_ready(self._compiled[shape](policies, copy, jax.random.key(0)))
-        return self._compiled[shape]
+    def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
+        team = self.players[name].team
+        return team_batch(
+            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(self.counters[name]),
+            others=_others(self.config, self.arena, team),
+        )  # fmt: skip
 
-    def _shaping(self) -> float:
-        """Weight of the dense reward now: it fades linearly to none."""
+    def _count(
+        self, name: str, before: Counters, steps: int, elapsed: float, figures: Mapping[str, float]
+    ) -> CurvePoint:
+        """Move a player's counters on by one iteration."""
+        at = self.counters[name]
+        now = Counters(at.iteration + 1, before.steps + steps, before.seconds + elapsed)
+        self.counters[name] = now
+        values = {
+            **figures, "steps_per_second": steps / elapsed, "shaping_weight": self._shaping(now),
+            "begun_anew": self._begun_anew if at == before else 0.0,
+        }  # fmt: skip
+        return CurvePoint(self.players[name].league, name, now.iteration, now.steps, now.seconds, values)
+
+    def _crews(self, lineup: Lineup) -> dict[str, Crew]:
+        now = {name: to_jax(self.learners[name].policies()) for name in lineup.turn.present if name}
+        return lineup.crews(now, self._shapes)
+
+    def _architectures(self) -> dict[str, list]:
+        """Actors by agent of every player of the agent's team: whoever sits there, the compiled shape is the same."""
+        actors = {name: to_jax(learner.policies()) for name, learner in self.learners.items()}
+        return {
+            agent.name: [actors[p.name][i] for p in self.players.values() if p.team == t]
+            for t, team in enumerate(self.arena.teams)
+            for i, agent in enumerate(team.agents)
+        }
+
+    def _shaping(self, at: Counters) -> float:
+        """Weight of the dense reward: it fades linearly to none."""
         span = self.config.training.shaping_steps
-        return max(0.0, 1.0 - self.counters.steps / span) if span else 0.0
+        return max(0.0, 1.0 - at.steps / span) if span else 0.0
 
-    def _enough(self, before: Counters) -> bool:
-        """Whether the turn should end here because of the clock: the budget is spent or a milestone was passed."""
-        if self.config.deterministic:
-            return False
-        marks = (*self.config.rating.milestone_seconds, self.config.budget.train_seconds)
-        return any(before.seconds < mark <= self.counters.seconds for mark in marks)
+    # Before and after ------------------------------------------------------------------------------------------------
 
-    def _snapshot_due(self, store: Store, player: Player) -> bool:
-        """At the start, on the logarithmic axis, after a milestone of training time, and when the budget is spent."""
-        kept = store.snapshots(player.league, player.name)
-        if not kept:
+    def _resting(self, turn: TrainingTurn) -> list[str]:
+        """Players that sit in the turn and do not learn; a paused one's critic stands still too."""
+        return [n for n in turn.present if n and n not in turn.learners and self.players[n].paused is None]
+
+    def _begin(self, store: Store, turn: TrainingTurn) -> None:
+        """Make the players of the turn: as their seeds have them, or from players of the leagues before this one."""
+        if self.config.after:
+            found = heirs.of(store, list(self.players.values()), self.config.after, self.config.learner.critic_input)
+            self._parents = {name: heirs.start(store, self.learners[name], found[name]) for name in turn.learners}
+
+    def _restore(self, store: Store, turn: TrainingTurn) -> None:
+        """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
+        self._points = []
+        league = next(iter(self.players.values())).league
+        self.players = {player.name: player for player in store.players(league)}  # one may have been paused
+        for name, digest in turn.bases.items():
+            player = self.players[name]
+            if digest and (digest != self._at[name] or turn.dice):
+                self.learners[name].load(arrays.from_bytes(store.blobs.get(digest)))
+                self._worlds.pop(turn.group, None)  # they belong to a history that is not the store's
+                if turn.dice:
+                    self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{turn.dice}".encode()))
+            self._at[name] = digest
+            kept = store.checkpoint(player.league, name)
+            self.counters[name] = Counters(kept.iteration, kept.step, kept.seconds) if kept else Counters()
+
+    def _lineup(self, store: Store, turn: TrainingTurn) -> Lineup:
+        present = 0 if "" in turn.present else self.config.training.opponents.split()[0]
+        if not any(turn.past.values()):
+            present = 1  # without past opponents all groups would be alike
+        league = next(iter(self.players.values())).league
+        return Lineup(turn, present, self.asked, store, league, self.arena)
+
+    def _prepare(self, lineup: Lineup, turn: TrainingTurn) -> tuple[Worlds, Callable]:
+        """Worlds and the compiled rollout, so that neither counts as training time.
+
+        Where somebody else sits than in the turn before, an episode must not go on with a new opponent: those worlds
+        begin anew. Which of the group's worlds learn from whom may have changed too; that is seen as other seats.
+        """
+        self._begun_anew = 0.0
+        worlds, before = self._worlds.pop(turn.group, (None, []))
+        if worlds is not None and len(before) == lineup.groups and not self.config.deterministic:
+            changed = lineup.changed(before)
+            if changed.any():
+                keys = jax.random.split(self._key(turn, "restart"), lineup.worlds)
+                worlds = self._restart(worlds, keys, jnp.asarray(changed))
+                self._begun_anew = float(changed.mean())
+        else:
+            keys = jax.random.split(self._key(turn, "worlds"), lineup.worlds)
+            worlds = jax.block_until_ready(self._reset(keys))
+        crews = self._crews(lineup)
+        shape = jax.tree.structure(crews), tuple(x.shape for x in jax.tree.leaves(crews)), lineup.worlds
+        if shape not in self._compiled:
+            self._compiled[shape] = self._rollout.lower(crews, worlds, jax.random.key(0)).compile()
+            if self.arena.engine.name == "warp":  # its kernels are compiled and loaded when they first run
+                copy = jax.tree.map(lambda x: x.copy(), worlds)
+                jax.block_until_ready(self._compiled[shape](crews, copy, jax.random.key(0)))
+        return worlds, self._compiled[shape]
+
+    def _key(self, turn: TrainingTurn, purpose: str) -> Array:
+        """A key for one purpose and moment, the same in every process and after every restart."""
+        moment = sum(self.counters[name].iteration for name in turn.present if name)
+        return random_key(self.config.seed, f"{turn.group}/{turn.dice}/{purpose}", moment)
+
+    def _enough(self, turn: TrainingTurn, before: Mapping[str, Counters]) -> bool:
+        """Whether the turn should end here: the group's budget is spent, or a milestone of the clock was passed."""
+        if self._spent(turn):
             return True
-        last, now = kept[-1], self.counters
+        marks = () if self.config.deterministic else self.config.rating.milestone_seconds
+        return any(before[n].seconds < mark <= self.counters[n].seconds for n in turn.learners for mark in marks)
+
+    def _spent(self, turn: TrainingTurn) -> bool:
+        """Whether the group has had its budget; `plan.spent` says the same of what the store holds."""
+        total = max if self.config.training.schedule.kind == "simultaneous" else sum
+        at = [self.counters[name] for name in turn.present if name]
+        seconds = 0.0 if self.config.deterministic else total([c.seconds for c in at])
+        return self.config.budget.spent(seconds, total([c.steps for c in at]))
+
+    def _snapshot(self, store: Store, player: Player, key: ArenaKey, turn: TrainingTurn) -> list[Snapshot]:
+        """The player frozen as it is now, if that is due: at the start, in between, and when the budget is spent."""
+        kept = store.snapshots(player.league, player.name)
+        if kept and not self._snapshot_due(player, kept[-1], turn):
+            return []
+        at = self.counters[player.name]
+        actors = [{k: v.cpu().numpy() for k, v in actor.items()} for actor in self.learners[player.name].policies()]
+        parent = kept[-1].name if kept else self._parents.get(player.name)
+        return [
+            Snapshot(
+                player.league, f"{player.name}@{at.iteration}", store.blobs.put(freeze(actors)), player.roster,
+                player.name, parent=parent, initial=not kept, arena=key,
+                settings=configuration.dumps(self.config), step=at.steps, iteration=at.iteration, seconds=at.seconds,
+            )
+        ]  # fmt: skip
+
+    def _snapshot_due(self, player: Player, last: Snapshot, turn: TrainingTurn) -> bool:
+        now = self.counters[player.name]
+        if now.iteration == last.iteration:
+            return False
         on_axis = now.iteration >= next_due(last.iteration, self.config.training.snapshots_per_doubling)
         marks = () if self.config.deterministic else self.config.rating.milestone_seconds
         passed = any(last.seconds < mark <= now.seconds for mark in marks)
-        return on_axis or passed or self.config.budget.spent(now.seconds, now.steps)
+        return on_axis or passed or self._spent(turn)
 
 
 def random_key(seed: int, purpose: str, number: int) -> Array:
@@ -165,8 +311,21 @@ def random_key(seed: int, purpose: str, number: int) -> Array:
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), crc32(purpose.encode())), number)
 
 
-def _new_learner(config: Config, arena: Arena, team: int) -> Learner:
-    agents = arena.teams[team].agents
-    seed = crc32(f"{config.seed}/{team}".encode())  # teams that start from the same bytes would share a snapshot
+def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
+    """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
+    agents = arena.teams[player.team].agents
+    settings = config.learner
+    for own in (entry for entry in named_players(config.players) if entry.name == player.name):
+        if own.hidden is not None:
+            settings = replace(settings, architecture=replace(settings.architecture, hidden=own.hidden))
+        if own.lr is not None:
+            settings = replace(settings, lr=own.lr, critic_lr=own.lr)
+    seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
-    return Learner(*sizes, config.learner, seed, config.training.device)
+    others = [a.observation_size for team in _others(config, arena, player.team) for a in team.agents]
+    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others)
+
+
+def _others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
+    """The teams whose observations a team's critic sees beside its own."""
+    return [t for i, t in enumerate(arena.teams) if i != team and config.learner.critic_input == "all"]

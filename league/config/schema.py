@@ -1,29 +1,36 @@
 """What dataclass fields say of themselves when they are settings: a note, a type, bounds; and the check of values.
 
-A setting may hold an int, float, bool, str, Literal, tuple[T, ...], tuple[T, U], another dataclass, or any of these or
-None. The string literal under a field is its note. What a value must satisfy stands in the field's metadata:
+A setting may hold an int, float, bool, str, Path, Literal, tuple[T, ...], tuple[T, U], another dataclass (a table), a
+tuple of those (a list of tables), or any of these or None. The string literal under a field is its note. What a value
+must satisfy stands in the field's metadata:
 
     lr: float = field(default=5e-4, metadata={"above": 0.0, "high": 0.1})
 
 `low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
 function that raises ValueError on values it does not take. What concerns several fields goes into `__post_init__`,
-which raises ValueError("field: message"), or any other message to speak of the whole table.
+which raises ValueError("field: message") or ValueError("table.field: message"), or any other message to speak of the
+whole table. Numbers are finite.
 """
 
 import ast
 import inspect
 import json
+import math
 import textwrap
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 Key = tuple[str, ...]
 UNSET = "none"
 """The word that stands for None: TOML has no null."""
 
+WORDS: dict[Any, str] = {
+    int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes", Path: "a path in quotes"
+}  # fmt: skip
 BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "low": ("at least", lambda value, bound: value >= bound),
     "above": ("above", lambda value, bound: value > bound),
@@ -66,13 +73,32 @@ def notes(cls: type) -> tuple[str, dict[str, str]]:
 
 
 def settings(cls: Any) -> Iterator[Field]:
-    """Yield the fields of a dataclass that can be given."""
-    return (each for each in fields(cls) if each.init)
+    """Yield the fields of a dataclass that can be given; those marked `apart` are read and written elsewhere."""
+    return (each for each in fields(cls) if each.init and not each.metadata.get("apart"))
 
 
 def is_table(value: Any) -> bool:
     """Tell whether a value is a group of settings."""
     return is_dataclass(value) and not isinstance(value, type)
+
+
+def table_of(hint: Any) -> Any:
+    """Return the class of a table's type, or of the tables in a list of tables; None for any other type."""
+    kind = required(hint)[0]
+    if get_origin(kind) is tuple and get_args(kind)[-1] is ...:
+        kind = required(get_args(kind)[0])[0]
+    return kind if isinstance(kind, type) and is_dataclass(kind) else None
+
+
+def element(kind: Any, index: int) -> Any:
+    """Return the type of an element of a tuple type."""
+    args = get_args(kind)
+    return args[0] if args[-1] is ... else args[index]
+
+
+def dotted(key: Key) -> str:
+    """Write a key as people read it: `players[1].team` for the team of the second player."""
+    return "".join(f"[{name}]" if name.isdigit() else f".{name}" for name in key).removeprefix(".")
 
 
 def absent(field: Field, base: Any) -> Any:
@@ -88,7 +114,7 @@ def required(hint: Any) -> tuple[Any, bool]:
         return hint, False
     kinds = [kind for kind in get_args(hint) if kind is not types.NoneType]
     if len(kinds) > 1 and not all(map(is_dataclass, kinds)):
-        raise TypeError(f"a setting cannot be of type {hint}: league/settings.py lists the possible types")
+        raise TypeError(f"a setting cannot be of type {hint}: league/config/schema.py lists the possible types")
     return kinds[0], types.NoneType in get_args(hint)
 
 
@@ -96,8 +122,8 @@ def literal(value: Any) -> str:
     """Write a value as TOML. `repr` gives the shortest digits that read back as the same float."""
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, str):  # JSON's escapes are TOML's, but for one character
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (str, Path)):  # JSON's escapes are TOML's, but for one character
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(literal, value))}]"
     if isinstance(value, dict):
@@ -116,13 +142,13 @@ def expected(hint: Any) -> str:
     elif is_dataclass(kind):
         text = "a table"
     else:
-        text = {int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes"}[kind]
+        text = WORDS[kind]
     return f'{text}, or "{UNSET}"' if optional else text
 
 
-def bounds(field: Field) -> str:
+def bounds(metadata: Mapping[str, Any]) -> str:
     """Say in words between which bounds a setting lies; empty when there are none."""
-    limits = {name: field.metadata[name] for name in BOUNDS if name in field.metadata}
+    limits = {name: metadata[name] for name in BOUNDS if name in metadata}
     if limits.keys() == {"low", "high"}:
         return f"between {limits['low']} and {limits['high']}"
     return " and ".join(f"{BOUNDS[name][0]} {bound}" for name, bound in limits.items())
@@ -130,13 +156,11 @@ def bounds(field: Field) -> str:
 
 def refuse(key: Key, value: Any, reason: object) -> ConfigError:
     """Say which setting was given which value and why that cannot be."""
-    return ConfigError(key, f"{'.'.join(key)} = {literal(value)}: {reason}")
+    return ConfigError(key, f"{dotted(key)} = {literal(value)}: {reason}")
 
 
-def _within(value: Any, metadata: Mapping[str, Any]) -> bool:
-    if isinstance(value, tuple):
-        return all(_within(each, metadata) for each in value)
-    return all(holds(value, metadata[name]) for name, (_, holds) in BOUNDS.items() if name in metadata)
+def _all(value: Any, holds: Callable[[Any], bool]) -> bool:
+    return all(_all(each, holds) for each in value) if isinstance(value, tuple) else holds(value)
 
 
 def check(config: Any, prefix: Key = ()) -> None:
@@ -149,10 +173,21 @@ def check(config: Any, prefix: Key = ()) -> None:
         key, value = (*prefix, field.name), getattr(config, field.name)
         if is_table(value):
             check(value, key)
+        elif isinstance(value, tuple) and any(map(is_table, value)):
+            for i, each in enumerate(value):
+                check(each, (*key, str(i)))
         elif value is not None:
-            if not _within(value, field.metadata):
-                raise refuse(key, value, f"must be {bounds(field)}")
-            try:
-                field.metadata.get("valid", lambda _: None)(value)
-            except ValueError as error:
-                raise refuse(key, value, error) from None
+            check_value(value, field.metadata, key)
+
+
+def check_value(value: Any, metadata: Mapping[str, Any], key: Key) -> None:
+    """Check one setting; raises ConfigError as `check` does."""
+    if not _all(value, lambda each: not isinstance(each, float) or math.isfinite(each)):
+        raise refuse(key, value, "must be finite")
+    limits = [(holds, metadata[name]) for name, (_, holds) in BOUNDS.items() if name in metadata]
+    if not _all(value, lambda each: all(holds(each, bound) for holds, bound in limits)):
+        raise refuse(key, value, f"must be {bounds(metadata)}")
+    try:
+        metadata.get("valid", lambda _: None)(value)
+    except ValueError as error:
+        raise refuse(key, value, error) from None

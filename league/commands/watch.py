@@ -2,12 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from league.options import Where, parse
-from league.query import Open, rated
+from league.commands.options import Where, parse, positional
+from league.query import Open
 from storage.errors import StorageError
 from storage.recording import from_bytes
 from storage.records import Match
@@ -17,7 +14,7 @@ from storage.records import Match
 class WatchOptions(Where):
     """Which match, and how to look at it."""
 
-    match: Annotated[int | None, tyro.conf.Positional] = None
+    match: int | None = positional(None)
     """A match's number in `league matches` (default: the last one between the two best-rated snapshots)."""
     save: Path | None = None
     """Write a file that `rerun` opens."""
@@ -62,12 +59,15 @@ def _choose(opened: Open, number: int | None) -> Match:
         return found[0]
     if not recorded:
         raise StorageError(f"League {opened.league} has no recorded match yet: `league run` plays and records some.")
-    snapshots = {s.digest: s for s in opened.store.snapshots(opened.league)}
-    ratings = rated(list(snapshots.values()), opened.store.matches(opened.league, "rating"))
-    elo = dict(zip(ratings.names, ratings.elo, strict=True))
+    learnt = {s.name for s in opened.store.snapshots(opened.league) if s.player is not None}
+    key = recorded[-1].arena  # Elo of two ladders cannot be compared
+    ladder = opened.ladder(key)
+
+    def strength(name: str) -> float:
+        return ladder.success(name).score if ladder.one_team else float(ladder.ratings.elo[ladder.ratings.index(name)])
 
     def interest(match: Match) -> tuple[bool, float, int]:
-        learnt = all(snapshots[d].player is not None for d in (match.a, match.b))
-        return learnt, min(elo[match.a], elo[match.b]), match.id
+        sides = [side for side in (match.a, match.b) if side is not None]
+        return learnt.issuperset(sides), min(map(strength, sides)), match.id
 
-    return max(recorded, key=interest)
+    return max((m for m in recorded if m.arena == key), key=interest)

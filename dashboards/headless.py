@@ -1,0 +1,166 @@
+"""Rerun's viewer without a window: its process, what it leaves on the disk, and why there is no picture."""
+
+import fcntl
+import io
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+from dashboards.errors import ViewerError
+
+NO_DRIVER = "a picture needs a graphics driver (Vulkan); on Debian or Ubuntu: apt-get install mesa-vulkan-drivers"
+ALIKE = 3  # pictures in a row that must be equal; two is too few for a viewer that gets a tenth of a processor
+PATIENCE = 180.0  # s that a picture may take; two to three on an idle machine
+TITLE_BAR = 36  # pixels, empty even where the viewer's top panel is hidden
+FOLDER, LOG = "robot-league-viewer-", "viewer.log"
+
+# What the viewer's process runs before it becomes the viewer: from then on the kernel ends it when we end, however.
+LAUNCH = """
+import ctypes, os, signal, sys
+starter, *command = sys.argv[1:]
+if sys.platform == "linux":
+    PR_SET_PDEATHSIG = 1
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+if os.getppid() == int(starter):
+    os.execv(command[0], command)
+"""
+
+Answer = TypeVar("Answer")
+
+
+class HeadlessViewer:
+    """A running viewer and its folder, whose files end with it."""
+
+    def __init__(self, process: subprocess.Popen[bytes], log: IO[bytes], port: int, size: tuple[int, int]):
+        """Wait until the viewer answers on the port; it writes to `log` and draws pictures of `size` pixels."""
+        from rerun.experimental import ViewerClient
+
+        self.folder = Path(log.name).parent
+        self.process, self._log, self._size = process, log, size
+        self._started = time.monotonic()
+        self.url = f"rerun+http://127.0.0.1:{port}/proxy"
+        self._client = self._ask(lambda: ViewerClient.connect(self.url))
+        self._ask(self._client.take_screenshot)  # without a driver it answers other questions before it ends
+
+    def state(self) -> Any:
+        """The viewer's own account of its recordings and views, a `rerun.experimental.ViewerState`."""
+        return self._ask(self._client.get_state)
+
+    def picture(self, rrd: Path, timeline: str, seconds: float) -> bytes:
+        """A PNG of a file at a moment of one of its timelines.
+
+        The viewer loads while it draws, and its first pictures may hold a bubble with a message.
+        """
+        self._ask(lambda: self._client.open(str(rrd)))
+        self._ask(lambda: self._client.set_time(timeline, duration=seconds, play_state="paused"))
+        last: list[bytes] = []
+        while len(last) < ALIKE:
+            time.sleep(0.4)
+            picture = self._ask(self._client.take_screenshot)
+            last = [*last, picture] if picture in last[:1] and not self.state().loading else [picture]
+        return self._without_title_bar(last[-1])
+
+    def _without_title_bar(self, picture: bytes) -> bytes:
+        from PIL import Image
+
+        out = io.BytesIO()
+        with Image.open(io.BytesIO(picture)) as image:
+            image.crop((0, TITLE_BAR, self._size[0], self._size[1] + TITLE_BAR)).save(out, format="PNG")
+        return out.getvalue()
+
+    def _ask(self, call: Callable[[], Answer]) -> Answer:
+        """What the viewer answers, however long it takes it to start and load; a viewer that has ended says why."""
+        while True:
+            try:
+                return call()
+            except (OSError, RuntimeError, ValueError) as error:  # what rerun raises while there is no answer
+                if self.process.poll() is not None:
+                    why = _why_no_picture(self.process.returncode, self._log)
+                    if time.monotonic() - self._started >= PATIENCE:
+                        why = f"there was no picture within {PATIENCE:g} s; is this machine very busy?"
+                    raise ViewerError(why) from error
+            time.sleep(0.1)
+
+
+@contextmanager
+def headless_viewer(size: tuple[int, int]) -> Iterator[HeadlessViewer]:
+    """A viewer that ends with the block, or with this process; raises ViewerError where there can be none.
+
+    Started here rather than by `ViewerClient.spawn`, which cannot set the size of the picture and hides why it failed.
+    """
+    remove_what_the_killed_left()
+    with tempfile.TemporaryDirectory(prefix=FOLDER, ignore_cleanup_errors=True) as folder, _locked_log(folder) as log:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        process = _start(log, port, size)
+        patience = threading.Timer(PATIENCE, process.kill)  # a call to a viewer that hangs would never return
+        patience.start()
+        try:
+            yield HeadlessViewer(process, log, port, size)
+        finally:
+            patience.cancel()
+            process.kill()
+            process.wait()
+
+
+def _start(log: IO[bytes], port: int, size: tuple[int, int]) -> subprocess.Popen[bytes]:
+    window = f"{size[0]}x{size[1] + TITLE_BAR}"
+    options = ["--headless", "--window-size", window, "--port", str(port), "--bind", "127.0.0.1"]
+    folder = os.path.dirname(log.name)
+    environment = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error", "TMPDIR": folder}  # it shows lesser logs as bubbles
+    return subprocess.Popen(
+        [sys.executable, "-I", "-c", LAUNCH, str(os.getpid()), _executable(), *options, "--hide-welcome-screen"],
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+        start_new_session=True,  # a Ctrl-C is ours to handle
+    )
+
+
+def _executable() -> str:
+    """The viewer itself: the `rerun` command is a Python program that starts it as a child, which outlives it."""
+    import rerun_cli
+
+    return os.environ.get("RERUN_CLI_PATH") or str(Path(str(rerun_cli.__file__)).with_name("rerun"))
+
+
+@contextmanager
+def _locked_log(folder: str) -> Iterator[IO[bytes]]:
+    """The viewer's log, locked for as long as one of us, this process or the viewer, has it open."""
+    new, log = Path(folder, "viewer.new"), Path(folder, LOG)
+    new.touch()
+    with new.open("r+b") as locked:
+        fcntl.flock(locked, fcntl.LOCK_EX)
+        new.rename(log)  # only now do others look at it
+        yield locked
+
+
+def remove_what_the_killed_left() -> None:
+    """Remove the folders whose log nobody has locked: a process that was killed could not."""
+    for log in Path(tempfile.gettempdir()).glob(f"{FOLDER}*/{LOG}"):
+        with suppress(OSError), log.open("rb") as unlocked:
+            fcntl.flock(unlocked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(log.parent, ignore_errors=True)
+
+
+def _why_no_picture(status: int, log: IO[bytes]) -> str:
+    log.seek(0)
+    text = log.read().decode(errors="replace")
+    if any(sign in text for sign in ("adapter", "render context", "render state", "Vulkan")):
+        return NO_DRIVER
+    if status < 0:
+        return f"rerun's viewer was ended by {signal.Signals(-status).name}; is this machine short of memory?"
+    lines = text.strip().splitlines() or ["it said nothing"]
+    panics = [line for line in lines if "panicked at" in line]
+    return f"rerun's viewer did not start: {[*lines[-1:], *panics][-1]}"

@@ -1,0 +1,136 @@
+"""`league pack` and `league unpack`: leagues as one file, and from there into any store."""
+
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from league import moving
+from league.commands.options import STORE, Where, parse, positional
+from league.config.sections import check_name
+from storage.places import shown_place
+from storage.store import Store
+
+EVERY = 5.0  # seconds between two lines of progress where the output is no terminal
+
+
+@dataclass(frozen=True)
+class PackOptions:
+    """What to pack, and where to."""
+
+    dest: str = positional()
+    """The file to write, such as main.league.zip; never over another one."""
+    league: tuple[str, ...] | None = None
+    """Leagues, with commas (none: all of the store). What they need to go on comes along."""
+    newest: bool = False
+    """Only what is needed to go on and to be rated: no old checkpoints, no recordings."""
+    no_recordings: bool = False
+    """Everything but the recordings of matches."""
+    store: str = STORE
+    """The store: a folder, or a URL such as sqlite:///runs/league.db or postgresql://host/league."""
+    blobs: str | None = None
+    """Where the store keeps policies and recordings (none: ROBOT_LEAGUE_BLOBS if set, else beside a SQLite store)."""
+
+
+def _named(value: str) -> None:
+    if not value:
+        raise ValueError("must be a name")
+    check_name(value)
+
+
+@dataclass(frozen=True)
+class UnpackOptions:
+    """What to unpack, and where to."""
+
+    archive: str = positional()
+    """A file that `league pack` wrote."""
+    store: str = STORE
+    """The store, made if nothing is there: a folder, or a URL such as postgresql://host/league."""
+    blobs: str | None = None
+    """Where the store keeps policies and recordings (none: ROBOT_LEAGUE_BLOBS if set, else beside a SQLite store)."""
+    named: str | None = field(default=None, metadata={"flag": "as", "valid": _named})
+    """Another name for the league, or for the curriculum with its stages."""
+
+
+def pack(args: list[str]) -> int:
+    """Write leagues as one file."""
+    what = "Write a league, or all leagues of a store, as one file. They may run meanwhile."
+    options = parse(PackOptions, _together(args, "--league"), "pack", what)
+    progress = Progress("packing")
+    with Store.open(options.store, blobs=options.blobs) as store:
+        names, recordings = options.league or (), not options.no_recordings
+        done = moving.pack(store, Path(options.dest), names, options.newest, recordings, progress.tell)
+    progress.end()
+    print(f"Packed {_told(done)}: {done.bytes:,} bytes in {options.dest}.")
+    if more := [name for name in done.leagues if name not in (options.league or done.leagues)]:
+        print(f"With what they need to go on: {', '.join(more)}.")
+    return 0
+
+
+def unpack(args: list[str]) -> int:
+    """Add the leagues of a file to a store."""
+    what = (
+        "Add the leagues in a file that `league pack` wrote to a store. All of it is checked before, or nothing done."
+    )
+    options = parse(UnpackOptions, args, "unpack", what)
+    progress = Progress("unpacking")
+    done = moving.unpack(Path(options.archive), options.store, options.blobs, options.named, progress.tell)
+    progress.end()
+    where = Where(options.store, done.leagues[0], options.blobs)
+    print(f"Unpacked {_told(done)} into {shown_place(options.store)}.")
+    if options.named is not None:
+        print("Recordings, and the settings kept with runs and snapshots, still tell the old name: they never change.")
+    print(f"`league run {_flags(where)}` goes on; `league ratings {_flags(where)}` tells who is better.")
+    return 0
+
+
+class Progress:
+    """Tells how far a work has come: on a terminal in one line that changes, elsewhere in a line every few seconds."""
+
+    def __init__(self, doing: str):
+        self.doing = doing
+        self._live = sys.stderr.isatty()
+        self._told = time.monotonic()
+        self._shown = False
+
+    def tell(self, what: str, done: int, total: int | None) -> None:
+        """Say it, if it is time."""
+        now = time.monotonic()
+        if now - self._told < (0.2 if self._live else EVERY):
+            return
+        self._told, self._shown = now, True
+        line = f"{self.doing}: {what} {done:,}" + (f" of {total:,}" if total is not None else "")
+        print(f"\r\033[K{line}" if self._live else line, end="" if self._live else "\n", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave a terminal's line as it was found."""
+        if self._live and self._shown:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def _told(done: moving.Moved) -> str:
+    rows = ", ".join(f"{done.rows[table]:,} {table}" for table in ("snapshots", "checkpoints", "matches"))
+    names = f"league {done.leagues[0]}" if len(done.leagues) == 1 else f"leagues {', '.join(done.leagues)}"
+    return f"{names} ({rows}; {done.blobs:,} blobs)"
+
+
+def _flags(where: Where) -> str:
+    given = [("--store", shown_place(where.store))] if where.store != STORE else []
+    given += [("--blobs", where.blobs)] if where.blobs else []
+    return shlex.join(word for pair in [*given, ("--league", str(where.league))] for word in pair)
+
+
+def _together(args: Sequence[str], flag: str) -> list[str]:
+    """The arguments with a flag that is given several times given once, its values joined by commas."""
+    rest, values, words = [], [], list(args)
+    while words:
+        word = words.pop(0)
+        if word == flag and words and not words[0].startswith("--"):
+            values.append(words.pop(0))
+        elif word.startswith(f"{flag}="):
+            values.append(word.partition("=")[2])
+        else:
+            rest.append(word)
+    return [*rest, *([f"{flag}={','.join(values)}"] if values else [])]

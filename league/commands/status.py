@@ -1,0 +1,122 @@
+"""`league status`: whether it runs, who learns and what ends that, who is paused, what was set aside, who works."""
+
+import sys
+from collections.abc import Mapping, Sequence
+
+from dashboards.tables import Column, render
+from league.commands.options import Where, parse
+from league.commands.tables import clock
+from league.course import course
+from league.liveness import leader, processes
+from league.query import Open
+from matchmaking.schedule import iterations_left
+from storage.records import Checkpoint, Job, Phase, Player, Worker
+from storage.store import Store
+
+STATES = {"queued": "queued", "leased": "being worked on", "done": "done", "failed": "set aside"}
+PLAYERS = (
+    Column("player", whole=True), "team", "group", "iteration", "steps", Column("trained", whole=True),
+    Column("now", whole=True),
+)  # fmt: skip
+WORKERS = ("worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("seen s ago", decimals=1))
+
+
+def status(args: list[str]) -> int:
+    """Tell how a league stands."""
+    options = parse(Where, args, "status", "Whether it runs, who learns, who is paused, which jobs wait or failed.")
+    with options.open() as opened:
+        print(report(opened, whole_errors="--debug" in sys.argv))
+    return 0
+
+
+def report(opened: Open, whole_errors: bool = False) -> str:
+    """A league's status as text; of an error its first line, or all of it."""
+    store, league = opened.store, opened.league
+    players, checkpoints, phases = store.players(league), store.newest_checkpoints(league), store.phases(league)
+    working = [worker for worker in processes(store, league) if worker.kinds != "manager"]
+    jobs = store.jobs(league)
+    counts = {state: sum(job.state == state for job in jobs) for state in STATES}
+    runs = _running(store, league, working)
+    parts = [
+        *_listed("Curriculum", _stages(store, league)),
+        f"League {league}: {runs or 'stopped'}\n"
+        f"Jobs: {', '.join(f'{n:,} {STATES[state]}' for state, n in counts.items())}",
+        render([_player(p, checkpoints.get(p.name), phases.get(p.group), bool(runs)) for p in players], PLAYERS),
+        *_listed("Phases", [_phase(phase, checkpoints) for phase in phases.values() if phase.learners]),
+        *_listed("Paused", [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None]),
+        *_listed("Set aside", [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"]),
+    ]
+    if working:
+        now = store.now()
+        parts.append(render([_worker(worker, now) for worker in working], WORKERS))
+    return "\n\n".join(parts)
+
+
+def _stages(store: Store, league: str) -> list[str]:
+    """The stages of the curriculum that the league belongs to; only where it does are settings read."""
+    if course(store, league) is None:
+        return []
+    from league import curriculum
+
+    return curriculum.report(store, league)
+
+
+def _running(store: Store, league: str, working: Sequence[Worker]) -> str:
+    """Who runs it; empty for a league that is stopped.
+
+    A manager that was killed leads until its lease expires, unless it can be seen that its process is gone.
+    """
+    manager = leader(store, league)
+    if manager is not None:
+        return f"running, managed by {manager}"
+    return f"stopping, {len(working)} workers still finish what they do" if working else ""
+
+
+def _player(player: Player, at: Checkpoint | None, phase: Phase | None, runs: bool) -> dict:
+    learns = phase is not None and player.name in phase.learners
+    iteration, steps, seconds = (at.iteration, at.step, at.seconds) if at else (0, 0, 0.0)
+    now = "paused" if player.paused is not None else "learns" if learns else "rests" if phase else "not begun"
+    if player.setbacks:
+        now += f", {player.setbacks} setback{'s' * (player.setbacks > 1)}"
+    return {
+        "player": player.name, "team": player.team, "group": player.group,
+        "iteration": iteration, "steps": steps, "trained": clock(seconds),
+        "now": now if runs or player.paused is not None else "stopped",
+    }  # fmt: skip
+
+
+def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint]) -> str:
+    """Who learns, since when, and what will end it."""
+    at = {name: checkpoint.iteration for name, checkpoint in checkpoints.items()}
+    left = iterations_left(phase, at)
+    since = ", ".join(dict.fromkeys(str(phase.since.get(name, 0)) for name in phase.learners))
+    end = (
+        "nothing ends it" if left is None else f"it ends after {phase.until['iterations']} iterations, {left} are left"
+    )
+    verb = "learns" if len(phase.learners) == 1 else "learn"
+    return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
+
+
+def _set_aside(job: Job, whole: bool) -> str:
+    return f"{job.key}, tried {job.failures} times: {_error(job.error, whole)}"
+
+
+def _error(error: str | None, whole: bool) -> str:
+    """The first line of a reason, and how to see the others; or all lines."""
+    lines = (error or "no reason was given").strip().splitlines()
+    if whole or len(lines) == 1:
+        return "\n    ".join(lines)
+    return f"{lines[0]} (--debug shows it all)"
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    return ["\n".join([f"{title}:", *(f"  {line}" for line in lines)])] if lines else []
+
+
+def _worker(worker: Worker, now: float) -> dict:
+    said = worker.status
+    return {
+        "worker": worker.id, "doing": said.get("doing", ""), "learners": "+".join(said.get("learners", [])),
+        "iteration": said.get("iteration"), "steps/s": said.get("steps_per_second"),
+        "seen s ago": round(now - worker.seen, 1),
+    }  # fmt: skip

@@ -1,0 +1,166 @@
+"""Plain dictionaries, as TOML or flags give them, into a tree of dataclasses; what is wrong is one ConfigError."""
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+from league.config.schema import (
+    UNSET,
+    ConfigError,
+    Key,
+    absent,
+    check,
+    dotted,
+    element,
+    expected,
+    hints,
+    is_table,
+    refuse,
+    required,
+    settings,
+    table_of,
+)
+
+T = TypeVar("T")
+
+
+def build(cls: type[T], table: Mapping[str, Any], base: T | None = None) -> T:
+    """Make a checked tree of dataclasses; what `table` does not name is as in `base`, else the default.
+
+    Where the base or the default holds a table, that table's own class is made: a field may be of several classes.
+
+    Raises:
+        ConfigError: with the key, the value given and what is possible.
+    """
+    cls = cls if base is None else type(base)
+    config = _table(cls, table, base, (), list(keys(cls, base)))
+    check(config)
+    return config
+
+
+def keys(cls: type, base: Any = None, prefix: Key = ()) -> Iterator[Key]:
+    """Yield every key that can be given, tables too, in the order of the fields."""
+    for field in settings(cls):
+        key = (*prefix, field.name)
+        yield key
+        inner, default = inner_table(cls, field, base)
+        if inner is not None and get_origin(required(hints(cls)[field.name])[0]) is not tuple:
+            yield from keys(inner, default, key)
+
+
+def inner_table(cls: type, field: Field, base: Any) -> tuple[type | None, Any]:
+    """Return the class of the table, or of the list of tables, in a field, and the table it is by default."""
+    default = absent(field, base)
+    if is_table(default):
+        return type(default), default
+    return table_of(hints(cls)[field.name]), None
+
+
+def _table(cls: type, table: Mapping[str, Any], base: Any, prefix: Key, everywhere: list[Key]) -> Any:
+    known, values = {field.name: field for field in settings(cls)}, {}
+    for name, value in table.items():
+        key = (*prefix, name)
+        if name not in known:
+            raise _unknown(key, known, everywhere)
+        default = absent(known[name], base)
+        if is_table(default) and isinstance(value, Mapping):
+            values[name] = _table(type(default), value, default, key, everywhere)
+        else:
+            values[name] = _value(value, hints(cls)[name], key, everywhere)
+    for name, field in known.items():
+        if name not in values and absent(field, base) is MISSING:
+            key = (*prefix, name)
+            raise ConfigError(key, f"{dotted(key)} is missing: expected {expected(hints(cls)[name])}")
+    try:
+        return replace(base, **values) if is_table(base) else cls(**values)
+    except ValueError as error:
+        defaults = {name: absent(field, base) for name, field in known.items()}
+        raise _contradiction(str(error), prefix, {**defaults, **values}) from None
+
+
+def _value(value: Any, hint: Any, key: Key, everywhere: list[Key]) -> Any:
+    """Turn a plain value into the type of a field."""
+    kind, optional = required(hint)
+    if optional and value == UNSET:
+        return None
+    if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
+        return _table(kind, value, None, key, everywhere)
+    args = get_args(kind)
+    if get_origin(kind) is Literal and any(value == arg and type(value) is type(arg) for arg in args):
+        return value
+    if get_origin(kind) is tuple and isinstance(value, list) and (args[-1] is ... or len(args) == len(value)):
+        if table_of(hint) is not None:
+            return tuple(_value(each, args[0], (*key, str(i)), everywhere) for i, each in enumerate(value))
+        try:
+            return tuple(_value(each, element(kind, i), key, everywhere) for i, each in enumerate(value))
+        except ConfigError:
+            raise refuse(key, value, f"expected {expected(hint)}") from None
+    if kind is float and type(value) is int:
+        return _as_float(value, key)
+    if kind in (int, float, bool, str) and type(value) is kind:
+        return value
+    if kind is Path and type(value) is str:
+        return Path(value)
+    raise refuse(key, value, f"expected {expected(hint)}")
+
+
+def _as_float(value: int, key: Key) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise refuse(key, value, "is too large for a number") from None
+
+
+def _contradiction(message: str, prefix: Key, values: Mapping[str, Any]) -> ConfigError:
+    """What a class says of its own settings, told with the setting's whole key and value."""
+    where, colon, reason = message.partition(": ")
+    names = tuple(where.split("."))
+    if not colon or names[0] not in values:
+        return ConfigError(prefix, ": ".join(filter(None, (dotted(prefix), message))))
+    value = values[names[0]]
+    for name in names[1:]:
+        value = getattr(value, name)
+    key = (*prefix, *names)
+    if is_table(value) or (isinstance(value, tuple) and any(map(is_table, value))):
+        return ConfigError(key, f"{dotted(key)}: {reason}")
+    return refuse(key, UNSET if value is None else value, reason)
+
+
+def _unknown(key: Key, names: Mapping[str, Field], everywhere: list[Key]) -> ConfigError:
+    """Name the key that was probably meant: a similar one of this table, else of any."""
+    similar = [(*key[:-1], name) for name in difflib.get_close_matches(key[-1], names, 1)]
+    if not similar:
+        last_names = {each[-1]: each for each in reversed(everywhere)}
+        similar = [last_names[name] for name in difflib.get_close_matches(key[-1], last_names, 1)]
+    meant = f"did you mean {dotted(similar[0])}? " if similar else ""
+    return ConfigError(key, f"unknown key {dotted(key)}: {meant}(keys: {', '.join(names)})")
+
+
+def from_text(text: str, hint: Any, key: Key) -> Any:
+    """Turn the text of a flag into the plain value that a file would hold: `0.5`, `64,64`, `none`, `[[1], [2]]`."""
+    kind, optional = required(hint)
+    if optional and text == UNSET:
+        return text
+    if text[:1] in ("[", "{") and (get_origin(kind) is tuple or table_of(hint) is not None):
+        import tomllib
+
+        try:
+            return tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            raise refuse(key, text, f"expected {expected(hint)}, as in a file") from None
+    if get_origin(kind) is tuple:
+        parts = [part.strip() for part in text.split(",") if part.strip()]
+        return [from_text(part, element(kind, min(i, len(get_args(kind)) - 1)), key) for i, part in enumerate(parts)]
+    if get_origin(kind) is Literal:
+        return next((arg for arg in get_args(kind) if str(arg) == text), text)
+    if kind is bool and text.lower() in TRUTHS:
+        return TRUTHS[text.lower()]
+    try:
+        return {int: int, float: float}.get(kind, str)(text)
+    except ValueError:
+        return text  # of the wrong type, which `build` refuses with what is possible
+
+
+TRUTHS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}

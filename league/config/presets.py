@@ -1,0 +1,130 @@
+"""Leagues that come ready: each a configuration to start from, by name."""
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from agents.settings import Architecture, HappoConfig
+from league.config.experiment import Config, default
+from league.config.schema import ConfigError
+from league.config.sections import Budget
+from league.config.stages import Stage
+from matchmaking.schedule import Schedule
+
+
+def quickstart() -> Config:
+    """2v2 rovers that learn to push each other out of a shrinking ring: five minutes on two cores, then ratings."""
+    config = default()
+    return replace(config, league="quickstart", budget=Budget(train="5m", rate="3m"))
+
+
+def duel() -> Config:
+    """1v1 rovers: twice as fast to simulate, and flat after half a minute."""
+    config = default("sumo-1v1")
+    return replace(config, league="duel", budget=Budget(train="2m", rate="1m"))
+
+
+def paper() -> Config:
+    """HARL-A's learner and leapfrog schedule (its table of settings) on 2v2 rovers, in our arena at its 50 Hz."""
+    config = default()
+    arena = config.arena
+    rules = replace(
+        arena.rules, ring=(3.0, 6.0), episode=30.0, shrink_after=30.0, decide_every=1, timestep=0.005,
+        drive_scale=10.0, steer_scale=0.1,
+    )  # fmt: skip
+    learner = HappoConfig(
+        Architecture((128, 128), "relu", True), lr=5e-4, critic_lr=5e-4, gamma=0.99, entropy=0.01, epochs=5,
+        minibatches=1, max_grad_norm=10.0, initial_std=0.3655, fixed_order=True,
+    )  # fmt: skip
+    training = replace(
+        config.training, worlds=5000, rollout=200, schedule=Schedule("leapfrog", 50), shaping_steps=0, device="auto"
+    )
+    arena = replace(arena, rules=rules, reward=replace(arena.reward, timeout_penalty=1.0))
+    return replace(config, league="paper", arena=arena, learner=learner, training=training)
+
+
+def by_team() -> Config:
+    """HARL-A's sumo of unlike teams, from the first step to the matches: two ANYmals against two Leatherbacks."""
+    return _ladder("sumo-by-team", *SUMO)
+
+
+def within_team() -> Config:
+    """HARL-A's sumo of unlike team-mates, from the first step to the matches: an ANYmal and a Leatherback each."""
+    return _ladder("sumo-within-team", *SUMO)
+
+
+def soccer_1v1() -> Config:
+    """HARL-A's soccer of one ANYmal against one Leatherback, from the first step to the matches."""
+    return _ladder("soccer-1v1", *SOCCER)
+
+
+def soccer_2v2() -> Config:
+    """HARL-A's soccer of two ANYmals against two Leatherbacks, from the first step to the matches."""
+    return _ladder("soccer-2v2", *SOCCER)
+
+
+def galaga_1v1() -> Config:
+    """3D Galaga of one tank and one drone: each learns alone first, to aim and to fly."""
+    return _ladder("galaga-1v1", *_galaga("1v1"))
+
+
+def galaga_2v2() -> Config:
+    """3D Galaga of two tanks and two drones within walls, by the same stages."""
+    return _ladder("galaga-2v2", *_galaga("2v2"))
+
+
+def _ladder(arena: str, *stages: Stage) -> Config:
+    """HARL-A's stages, and then its matches. Budgets are for a GPU; `--steps` bounds each of them.
+
+    With this learner an ANYmal walks after 2 million steps (docs/arenas/anymal-walk.md).
+    """
+    config = default(arena)
+    learner = HappoConfig(
+        Architecture((128, 128, 128), "elu"), lr=1e-3, critic_lr=1e-3, gamma=0.99, initial_std=0.6,
+        normalise_observations=True,
+    )  # fmt: skip
+    training = replace(config.training, rollout=24, shaping_steps=50_000_000, snapshots_per_doubling=4)
+    match = Stage("match", {"budget": {"steps": 500_000_000}})
+    budget = Budget(rate="5m")
+    return replace(config, league=arena, learner=learner, training=training, budget=budget, stages=(*stages, match))
+
+
+def _stage(name: str, arena: str, **budget: Any) -> Stage:
+    return Stage(name, {"arena": {"name": arena}, "budget": budget})
+
+
+SUMO = (
+    _stage("walk", "anymal-walk", success=0.9, steps=200_000_000),
+    _stage("push-anymal", "block-push-anymal", steps=100_000_000),
+    _stage("push-leatherback", "block-push-leatherback", steps=50_000_000),
+)
+SOCCER = (
+    _stage("walk", "soccer-walk", success=0.9, steps=200_000_000),
+    _stage("ball", "soccer-ball", success=0.9, steps=100_000_000),
+    _stage("score", "soccer-score", success=0.7, steps=200_000_000),
+    _stage("score-leatherback", "soccer-score-leatherback", success=0.7, steps=100_000_000),
+)
+
+
+def _galaga(size: str) -> tuple[Stage, ...]:
+    """Tank and drone alone, with the observations of that game."""
+    return (
+        _stage("aim", f"galaga-aim-{size}", success=0.9, steps=50_000_000),
+        _stage("fly", f"galaga-fly-{size}", success=0.9, steps=200_000_000),
+    )
+
+
+PRESETS: Mapping[str, Callable[[], Config]] = {
+    "quickstart": quickstart, "duel": duel, "paper": paper, "sumo-by-team": by_team, "sumo-within-team": within_team,
+    "soccer-1v1": soccer_1v1, "soccer-2v2": soccer_2v2, "galaga-1v1": galaga_1v1, "galaga-2v2": galaga_2v2,
+}  # fmt: skip
+
+
+def preset(name: str) -> Config:
+    """A preset by name. Raises ConfigError, one line with what exists, for an unknown one."""
+    if name not in PRESETS:
+        near = difflib.get_close_matches(name, PRESETS, 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(("preset",), f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)})")
+    return PRESETS[name]()

@@ -1,0 +1,277 @@
+"""Frozen policies as files: safetensors with the networks' own parameter names, and what is known of them beside it.
+
+Arrays are named `<agent>/<parameter>`, as in a snapshot's bytes: `0/trunk.hidden.0.weight` is of the roster's first
+agent. The header's metadata has one entry, `robot_league`, JSON as `about` makes it. One entry, because safetensors
+writes several in no fixed order: the same policy gives the same file.
+"""
+
+import hashlib
+import json
+import math
+import re
+import struct
+import tomllib
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from safetensors.numpy import save
+
+from agents.settings import ACTIVATIONS
+from league.config.schema import ConfigError
+from league.query import Open, Row, rating_rows
+from matchmaking.ladder import Ladder
+from storage import arrays
+from storage.archive import shortened
+from storage.errors import StorageError, UnknownName
+from storage.files import opened as opened_file
+from storage.records import ArenaKey, Snapshot
+
+FORMAT = 1
+KEY = "robot_league"
+LIMIT = 2**30  # bytes of a file
+TEXT_LIMIT = 4096  # letters of a name or a roster
+
+
+class ExchangeError(StorageError):
+    """A file is no frozen policy that this program reads, or not one for this league; nothing was written."""
+
+
+class Policy(NamedTuple):
+    """A frozen policy as a file holds it."""
+
+    arrays: Mapping[str, np.ndarray]
+    about: Mapping[str, Any]  # see `about`
+
+    def to_bytes(self) -> bytes:
+        """The file."""
+        ordered = {name: np.asarray(self.arrays[name], order="C") for name in sorted(self.arrays)}
+        return save(ordered, metadata={KEY: json.dumps(self.about, sort_keys=True, allow_nan=False)})
+
+
+def export(league: Open, name: str) -> Policy:
+    """A snapshot of a league with what the store knows of it. Raises UnknownName, StorageError (a script, damage)."""
+    snapshots = {s.name: s for s in league.store.snapshots(league.league)}
+    if name not in snapshots:
+        raise UnknownName("snapshot", name, snapshots)
+    snapshot = snapshots[name]
+    if snapshot.script is not None:
+        raise StorageError(f"{name} is a script, which has no weights to export; every league of its arena has it.")
+    found = arrays.from_bytes(league.store.blobs.get(snapshot.digest))
+    try:
+        agents = agents_of(found, snapshot.roster)
+    except ValueError as error:
+        raise StorageError(f"{name} is of a network that this version cannot export: {shortened(error)}.") from None
+    return Policy(found, about(league, snapshot, snapshots, agents))
+
+
+def about(
+    league: Open, snapshot: Snapshot, snapshots: Mapping[str, Snapshot], agents: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """What the store knows of a snapshot, as JSON: whose it is, what it fits, where and how it learnt, its rating."""
+    return {
+        "format": FORMAT, "league": league.league, "name": snapshot.name, "digest": snapshot.digest,
+        "player": snapshot.player, "origin": snapshot.origin, "roster": snapshot.roster, "agents": agents,
+        "arena": snapshot.arena._asdict() if snapshot.arena else None, "settings": snapshot.settings,
+        "parents": _parents(snapshot, snapshots), "iteration": snapshot.iteration, "steps": snapshot.step,
+        "seconds": snapshot.seconds, "versions": _versions(league, snapshot), "created": snapshot.created,
+        "rating": _rating(league, snapshot),
+    }  # fmt: skip
+
+
+def ladders(league: Open, snapshot: Snapshot) -> list[Ladder]:
+    """The ladders on which a snapshot has played, that of the newest matches first."""
+    found = map(league.ladder, league.ladders())
+    return [
+        each for each in found if each.payoff.games[each.payoff.index(snapshot.name)].any() or _tried(each, snapshot)
+    ]
+
+
+def rating_row(league: Open, ladder: Ladder, snapshot: Snapshot) -> Row:
+    """What `league ratings` tells of a snapshot on that ladder."""
+    snapshots, players = league.store.snapshots(league.league), league.store.players(league.league)
+    return next(r for r in rating_rows(ladder, snapshots, players, league.void_limit()) if r["name"] == snapshot.name)
+
+
+def _rating(league: Open, snapshot: Snapshot) -> dict[str, Any] | None:
+    for ladder in ladders(league, snapshot)[:1]:
+        row = rating_row(league, ladder, snapshot)
+        kept = (
+            ("success", "success_low", "success_high") if ladder.one_team else ("elo", "low", "high", "known", "score")
+        )
+        return {name: row[name] for name in (*ArenaKey._fields, "episodes", *kept)}
+    return None
+
+
+def _tried(ladder: Ladder, snapshot: Snapshot) -> bool:
+    return bool(ladder.tried(snapshot.name))
+
+
+def _parents(snapshot: Snapshot, snapshots: Mapping[str, Snapshot]) -> list[str]:
+    """From which snapshots it goes on, the nearest first; the last may be one of another league."""
+    found: list[str] = []
+    while snapshot.parent is not None and snapshot.parent not in found:
+        found.append(snapshot.parent)
+        if snapshot.parent not in snapshots:
+            break
+        snapshot = snapshots[snapshot.parent]
+    return found
+
+
+def _versions(league: Open, snapshot: Snapshot) -> dict[str, str]:
+    """The versions of the run in which it was frozen; of an imported one the store does not know them."""
+    runs = [run for run in league.store.runs(league.league) if run.started <= snapshot.created]
+    return dict(runs[-1].versions) if runs and snapshot.origin == "trained" else {}
+
+
+# Reading -------------------------------------------------------------------------------------------------------------
+
+
+def read(path: Path) -> Policy:
+    """The policy in a file, examined. Raises ExchangeError, one line, for a file that holds none."""
+    with opened_file(path) as file:
+        data = file.read(LIMIT + 1)
+    if len(data) > LIMIT:
+        raise ExchangeError(f"{path} has more than {LIMIT:,} bytes, which no policy has.")
+    try:
+        found = arrays.from_bytes(data)
+    except StorageError as error:
+        raise ExchangeError(f"{path} is no policy: {shortened(error)}") from None
+    try:
+        told = json.loads(_metadata(data)[KEY])
+    except (KeyError, ValueError, TypeError, RecursionError, struct.error):
+        raise ExchangeError(f"{path} was not written by `league export`: it does not tell of a {KEY}.") from None
+    try:
+        _examine(found, told)
+    except (ValueError, TypeError, LookupError, OverflowError) as error:
+        raise ExchangeError(f"{path} is damaged: {shortened(error)}.") from None
+    return Policy(found, told)
+
+
+def _metadata(data: bytes) -> Mapping[str, str]:
+    (size,) = struct.unpack("<Q", data[:8])
+    return json.loads(data[8 : 8 + size])["__metadata__"]
+
+
+def _examine(found: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> None:
+    """Whether arrays and metadata are of one policy; raises ValueError, ExchangeError for a newer format."""
+    number = told["format"]
+    if isinstance(number, bool) or not isinstance(number, int):
+        raise ValueError("its format is no number")
+    if number > FORMAT:
+        raise ExchangeError(f"It has format {number}, but this program knows only up to {FORMAT}: update robot-league.")
+    for key in ("league", "name", "roster", "settings"):
+        lines = told[key].splitlines() if isinstance(told[key], str) else ["\0"]
+        short = key == "settings" or (len(lines) <= 1 and len(told[key]) <= TEXT_LIMIT)
+        if not short or not all(line.isprintable() for line in lines):
+            raise ValueError(f"its {key} is no text")
+        told[key].encode()
+    for key, limit in (("iteration", 2**63), ("steps", 2**63), ("seconds", math.inf)):
+        kind = (int, float) if key == "seconds" else int
+        if isinstance(told[key], bool) or not isinstance(told[key], kind) or not 0 <= told[key] < limit:
+            raise ValueError(f"its {key} are no number")
+    arena = told["arena"]
+    if arena is not None:
+        if arena.keys() != set(ArenaKey._fields):
+            raise ValueError("its arena is not told by name, configuration hash and engine")
+        if not all(isinstance(value, str) and value.isprintable() for value in arena.values()):
+            raise ValueError("its arena is not told in words")
+    agents_of(found, told["roster"])
+    if hashlib.sha256(arrays.to_bytes(found)).hexdigest() != told["digest"]:
+        raise ValueError("its parameters are not those that were exported")
+
+
+def agents_of(found: Mapping[str, np.ndarray], roster: str) -> list[dict[str, Any]]:
+    """What each agent's network is like, in the roster's order; raises ValueError where the arrays are not of one."""
+    agents, used = [], set()
+    for number, agent in enumerate(roster.split("+")):
+        if not (match := re.fullmatch(r"([^:+]+):(\d{1,9}):(\d{1,9})", agent)):
+            raise ValueError(f"{agent!r} is no agent's kind with the sizes of its observation and action")
+        kind, sees, acts = match[1], int(match[2]), int(match[3])
+        own = {k.removeprefix(f"{number}/"): v for k, v in found.items() if k.startswith(f"{number}/")}
+        used |= {f"{number}/{name}" for name in own}
+        hidden = []
+        while (weight := own.get(f"trunk.hidden.{len(hidden)}.weight")) is not None and weight.ndim == 2:
+            hidden.append(weight.shape[0])
+        normed = "trunk.norm.0.weight" in own
+        kinds = "deviation.weight" in own, "squash" in own
+        wanted = _shapes(sees, acts, hidden, normed, *kinds)
+        for name in sorted(own.keys() ^ wanted.keys()):
+            raise ValueError(f"agent {number} has {'an unknown' if name in own else 'no'} parameter {name}")
+        for name, shape in wanted.items():
+            if own[name].shape != shape:
+                raise ValueError(f"agent {number}'s {name} has the shape {own[name].shape}, and {kind} needs {shape}")
+            if own[name].dtype != (np.int32 if name == "activation" else np.float32):
+                raise ValueError(f"agent {number}'s {name} is of type {own[name].dtype}")
+            if not np.isfinite(own[name]).all():
+                raise ValueError(f"agent {number}'s {name} is not finite")
+        activation = int(own["activation"])
+        if not 0 <= activation < len(ACTIVATIONS):
+            raise ValueError(f"agent {number} has activation {activation}, which is none")
+        agents.append({
+            "kind": kind, "observation": sees, "action": acts, "hidden": hidden,
+            "activation": ACTIVATIONS[activation], "layer_norm": normed, "state_std": kinds[0],
+            "squash": float(own["squash"]) if kinds[1] else None,
+        })  # fmt: skip
+    if unknown := sorted(found.keys() - used):
+        raise ValueError(f"{unknown[0]} is a parameter of no agent of {roster}")
+    return agents
+
+
+def _shapes(
+    sees: int, acts: int, hidden: list[int], normed: bool, state_std: bool, squashed: bool
+) -> dict[str, tuple[int, ...]]:
+    """The parameters of an actor (agents/networks.py) by name."""
+    widths = [sees, *hidden]
+    shapes: dict[str, tuple[int, ...]] = {
+        "activation": (), "std_scale": (),
+        "mean.bias": (acts,), "mean.weight": (acts, widths[-1]),
+        "trunk.observation_mean": (sees,), "trunk.observation_var": (sees,), "trunk.observation_clip": (),
+    }  # fmt: skip
+    deviation = {"deviation.bias": (acts,), "deviation.weight": (acts, widths[-1])}
+    shapes |= deviation if state_std else {"std_logit": (acts,)}
+    shapes |= {"squash": ()} if squashed else {}
+    for i, (before, after) in enumerate(pairwise(widths)):
+        shapes |= {f"trunk.hidden.{i}.weight": (after, before), f"trunk.hidden.{i}.bias": (after,)}
+    for i, width in enumerate(widths if normed else ()):
+        shapes |= {f"trunk.norm.{i}.weight": (width,), f"trunk.norm.{i}.bias": (width,)}
+    return shapes
+
+
+# Importing -----------------------------------------------------------------------------------------------------------
+
+
+def bring_in(league: Open, policy: Policy, name: str) -> Snapshot:
+    """Add a policy to a league as a snapshot that belongs to no player and never learns.
+
+    Raises ExchangeError where its roster is that of none of the league's sides, ConfigError where the name is taken.
+    """
+    store, told = league.store, policy.about
+    players = store.players(league.league)
+    if told["roster"] not in {p.roster for p in players}:
+        sides = " and ".join(dict.fromkeys(f"{p.roster} (team {p.team})" for p in players)) or "no players yet"
+        raise ExchangeError(
+            f"The policy is for {shortened(told['roster'])}, and league {league.league!r}{_arena(league)} has {sides}."
+        )
+    digest = hashlib.sha256(arrays.to_bytes(policy.arrays)).hexdigest()
+    taken = {s.name: s for s in store.snapshots(league.league)}
+    if name in {p.name for p in players} or (name in taken and taken[name].digest != digest):
+        raise ConfigError(("as",), f"--as {name}: league {league.league} has a player or snapshot of that name already")
+    arena = None if told["arena"] is None else ArenaKey(**told["arena"])
+    snapshot = Snapshot(
+        league.league, name, store.blobs.put(arrays.to_bytes(policy.arrays)), told["roster"], origin="imported",
+        parent=f"{told['league']}/{told['name']}", arena=arena, settings=told["settings"], step=told["steps"],
+        iteration=told["iteration"], seconds=float(told["seconds"]),
+    )  # fmt: skip
+    store.add_snapshots([snapshot])
+    return next(s for s in store.snapshots(league.league) if s.name == name)
+
+
+def _arena(league: Open) -> str:
+    """The arena of a league, as its settings name it."""
+    try:
+        return f" in {tomllib.loads(league.store.league(league.league).config)['arena']['name']}"
+    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        return ""

@@ -1,0 +1,70 @@
+"""Jobs as typed values, with one encoding: what a row of the store's job table means to this program."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar
+
+from storage.errors import StorageError
+from storage.records import Job
+
+
+@dataclass(frozen=True)
+class TrainingTurn:
+    """What one training lease covers: some learning iterations of players that learn together.
+
+    It starts from the checkpoints in `bases` and from no others: a turn whose bases are no longer the newest is
+    refused when it ends, so that a player has one lineage. With no iterations it only makes the players.
+    """
+
+    kind: ClassVar[str] = "train"
+
+    group: str
+    phase: int  # of the group's schedule
+    learners: tuple[str, ...]  # players
+    present: tuple[str, ...]  # for each team the player that sits there as it is now, "" where the group has none
+    bases: Mapping[str, str]  # present player -> digest of its checkpoint, "" before its first
+    iterations: int
+    past: Mapping[str, tuple[tuple[str, ...], ...]]  # learner -> a lineup per group of worlds: snapshot of each team
+    dice: int = 0  # how often the players had to go back: a repeated turn rolls other dice
+
+
+@dataclass(frozen=True)
+class RatingMatch:
+    """Pairs of snapshots that play a batch of episodes; in an arena of one team the second of a pair is None."""
+
+    kind: ClassVar[str] = "match"
+
+    pairs: tuple[tuple[str, str | None], ...]
+    seed: int
+    purpose: str = "rating"
+    record: bool = True
+
+
+Task = TrainingTurn | RatingMatch
+KINDS: Mapping[str, type[Task]] = {task.kind: task for task in (TrainingTurn, RatingMatch)}
+
+
+def encode(league: str, task: Task, about: Any, priority: int = 0) -> Job:
+    """The task as a job to queue. Its key is made of `about`, what it is for: asking twice does no harm."""
+    digest = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:20]
+    return Job(league, task.kind, f"{task.kind}:{digest}", asdict(task), priority)
+
+
+def decode(job: Job) -> Task:
+    """The task in a job. Raises StorageError for a kind or a payload of another program or version."""
+    try:
+        task = KINDS[job.kind]
+        if set(job.payload) != {field.name for field in fields(task)}:
+            raise KeyError(job.kind)
+        return task(**{name: _frozen(value) for name, value in job.payload.items()})
+    except KeyError:
+        raise StorageError(f"job {job.key} is of no kind that this version knows ({', '.join(KINDS)})") from None
+
+
+def _frozen(value: Any) -> Any:
+    """JSON's lists as tuples, all the way down."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_frozen, value))
+    return {name: _frozen(each) for name, each in value.items()} if isinstance(value, dict) else value

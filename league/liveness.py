@@ -1,0 +1,39 @@
+"""Which of a league's processes are alive, as far as a store and this host can tell."""
+
+import os
+import socket
+
+from storage.records import Worker
+from storage.store import Store
+
+SEEN = 10.0  # seconds without a word after which a process of another host is taken for gone
+STARTING = 300.0  # the same for one of this host that exists: compiling may keep it silent for long
+
+
+def exists(pid: int) -> bool:
+    """Whether a process of that number is alive on this host."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def is_dead(holder: str) -> bool:
+    """Whether a process named `host:pid:...` is certainly gone: it was one of this host."""
+    host, pid, *_ = holder.rsplit(":", 2)
+    return host == socket.gethostname() and pid.isdigit() and not exists(int(pid))
+
+
+def leader(store: Store, league: str) -> str | None:
+    """The league's manager, `host:pid:manager`, unless nobody leads it or that process of this host has died."""
+    found = store.leader(league)
+    return None if found is None or is_dead(found[0]) else found[0]
+
+
+def processes(store: Store, league: str) -> list[Worker]:
+    """The league's processes that are alive: on this host those that exist, elsewhere those that spoke lately."""
+    here, now = socket.gethostname(), store.now()
+    return [w for w in store.workers(league, STARTING) if (exists(w.pid) if w.host == here else now - w.seen < SEEN)]

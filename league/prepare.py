@@ -1,0 +1,312 @@
+"""What only the heavy half of the program can check before a league runs, and the rows with which a league begins.
+
+`prepare` starts a short-lived process, so that the one that stays, the manager, never loads jax, torch or mujoco. That
+process builds the arena, examines the configuration against it and this machine, and only then writes: the league, its
+players and the scripted opponents, all of which may be there already. What it refuses leaves nothing behind.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from arenas.about import crowd
+from arenas.blame import blame, sources
+from league import devices
+from league.config import experiment as configuration
+from league.config.experiment import Config
+from league.config.schema import ConfigError, refuse
+from league.config.sections import PlayerSettings, mains, named_players
+from league.heirs import Misfit, heritage
+from storage.records import League, Player
+from storage.store import Store
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena
+
+CPU_WORLDS, GPU_WORLDS = 256, 2048  # below 2,000 worlds a GPU waits for launches; more on a CPU make updates rarer
+MEMORY_SHARE = 0.8  # of the machine's, for one batch of experience with what learning makes of it
+COPIES = 3  # of each number in a batch: as collected, handed over to torch, and in the minibatch with its gradients
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a league's front needs to know of the heavy half."""
+
+    arena: str
+    engine: str
+    worlds: int  # simulated at once in training
+    sides: tuple[str, ...]  # each team in words, e.g. blue (2 × leatherback)
+
+
+class PrepareError(Exception):
+    """The process that prepares a league died, or hit a fault that is nobody's setting."""
+
+
+# The light half ------------------------------------------------------------------------------------------------------
+
+
+def prepare(where: str, config: Config, debug: bool = False) -> Prepared:
+    """Examine a configuration and write what a league begins with, in a process of its own.
+
+    Raises ConfigError, one line, for what cannot be; PrepareError where the process died. Ctrl-C ends both processes at
+    once: nothing is lost, since nothing has been done.
+    """
+    request = {"where": where, "config": configuration.dumps(config), "parent": os.getpid()}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "league.prepare"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        stderr=None if debug else subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with _ends_with_us(process):
+        out, err = process.communicate(json.dumps(request))
+    answer = json.loads(out or "{}")
+    if "refused" in answer:
+        raise ConfigError(tuple(answer["key"]), answer["refused"])
+    if "prepared" not in answer:
+        last = (err or "").strip().splitlines()[-1:] or ["it said nothing"]
+        raise PrepareError(f"preparing the league failed (exit code {process.returncode}): {last[0]}")
+    found = answer["prepared"]
+    return Prepared(**{**found, "sides": tuple(found["sides"])})
+
+
+@contextmanager
+def _ends_with_us(process: subprocess.Popen[str]) -> Iterator[None]:
+    """Until this is over, Ctrl-C and SIGTERM end the process and this one.
+
+    An exception would not do: Python drops one that a signal raises while, say, a module is being imported.
+    """
+
+    def leave(number: int, frame: object) -> None:
+        process.kill()
+        os.write(2, b"\nleague: stopped before it began; nothing was lost.\n")
+        os._exit(128 + number)
+
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    before = {s: handler for s, handler in before.items() if handler not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# The heavy half ------------------------------------------------------------------------------------------------------
+
+
+def examine(config: Config) -> "Arena":
+    """Build the arena and try the configuration on it and on this machine; the arena is for looking at.
+
+    Raises ConfigError, one line, naming the setting.
+    """
+    arena = _built(config)
+    teams = [team.name for team in arena.teams]
+    if config.training.schedule.learner >= len(teams):
+        numbers = ", ".join(f"{i} ({name})" for i, name in enumerate(teams))
+        key = ("training", "schedule", "learner")
+        raise refuse(key, config.training.schedule.learner, f"the arena's teams are {numbers}")
+    if config.budget.success is not None and len(teams) > 1:
+        told = f"{arena.name} has {len(teams)} teams, and success is for one alone; use budget.reward or budget.steps"
+        raise refuse(("budget", "success"), config.budget.success, told)
+    if config.learner.critic_input == "all" and len(teams) == 1:
+        told = f"{arena.name} has one team, and there are no others to see; use own"
+        raise refuse(("learner", "critic_input"), config.learner.critic_input, told)
+    _examine_players(config, teams)
+    _examine_scripts(config, arena)
+    _examine_device(config, arena)
+    _examine_memory(config, arena)
+    return arena
+
+
+def worlds(config: Config) -> int:
+    """How many worlds training simulates at once; raises nothing."""
+    import jax
+
+    return config.training.worlds or (GPU_WORLDS if jax.default_backend() == "gpu" else CPU_WORLDS)
+
+
+def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:
+    """The players of a league, named: those of the configuration, else a main one for each of the teams."""
+    return named_players(config.players) if config.players else mains(tuple(teams))
+
+
+def players_of(config: Config, arena: "Arena") -> list[Player]:
+    """The players of a league as rows of its store."""
+    teams = [team.name for team in arena.teams]
+    return [
+        Player(config.league, p.name, teams.index(p.team), p.role, arena.teams[teams.index(p.team)].roster, p.group)
+        for p in roster(config, teams)
+    ]
+
+
+def create(store: Store, config: Config, arena: "Arena") -> None:
+    """Write the league, its players and the scripted opponents; what exists already stays.
+
+    Raises StorageError, before anything is written, where the league has players that contradict these.
+    """
+    from league.policies import add_scripts
+
+    players = players_of(config, arena)
+    if config.league in {league.name for league in store.leagues()}:
+        _examine_rosters(store, config, arena, players)
+        gone = sorted({p.name for p in store.players(config.league)} - {p.name for p in players})
+        if gone:
+            raise ConfigError(
+                ("players",),
+                f"league {config.league} has players that the settings do not name ({', '.join(gone)}): name them in"
+                " [[players]], or choose another league name",
+            )
+        store.add_players(players)  # refuses those that contradict what is there
+    store.create_league(League(config.league, configuration.dumps(config)))
+    store.add_players(players)
+    add_scripts(store, config.league, arena, _scripts(config, arena))
+
+
+def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
+    """A league's policies must fit: another arena can only go on with it if its teams are the same to them."""
+    known = {p.name: p for p in store.players(config.league)}
+    for player in players:
+        kept = known.get(player.name)
+        if kept is not None and kept.roster != player.roster:
+            raise ConfigError(
+                ("league",),
+                f"league {config.league!r} cannot go on in {arena.name}: its player {kept.name} fits {kept.roster}, not"
+                f" {player.roster}; choose another league name",
+            )
+
+
+def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) -> None:
+    """Each stage's players must fit those from which they start; those of earlier stages are not there yet."""
+    before = []
+    if config.after:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            for league in config.after:
+                store.league(league)
+                before.append(store.players(league))
+    for number, players in enumerate(stages):
+        try:
+            heritage(players, before)
+        except Misfit as error:
+            key = ("stages", str(number), "arena") if config.stages else ("after",)
+            told = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.after)}"
+            raise ConfigError(key, f"{told}: {error}") from None
+        before.insert(0, players)
+
+
+def _built(config: Config) -> "Arena":
+    from arenas.errors import ArenaError, EngineError
+
+    name = config.arena.name
+    try:
+        arena = config.arena.build(engine=config.engine, threads=1)
+        if ":" in name:  # a person's own: find out now what else every worker would find out
+            _trace(arena)
+    except EngineError as error:
+        raise ConfigError(("engine",), str(error)) from None
+    except ArenaError as error:
+        raise ConfigError(("arena",), str(error)) from None
+    except (Exception, SystemExit) as error:
+        told = f"arena {name}: {blame(error, sources(name))}; `league check {name}` examines it"
+        raise ConfigError(("arena",), told) from error
+    return arena
+
+
+def _trace(arena: "Arena") -> None:
+    """Run reset and step on shapes alone: cheap, and it meets most mistakes of an arena's code."""
+    import jax
+
+    state = jax.eval_shape(arena.reset, jax.random.key(0))
+    actions = {agent.name: jax.ShapeDtypeStruct((agent.action_size,), "float32") for agent in arena.agents}
+    jax.eval_shape(arena.step, state, actions)
+
+
+def _examine_players(config: Config, teams: list[str]) -> None:
+    for i, player in enumerate(config.players):
+        if player.team not in teams:
+            raise refuse(("players", str(i), "team"), player.team, f"the arena's teams are {', '.join(teams)}")
+    idle = [team for team in teams if team not in {p.team for p in roster(config, teams)}]
+    if idle:
+        raise ConfigError(("players",), f"players: nobody plays team {idle[0]}; add a [[players]] table for it")
+
+
+def _scripts(config: Config, arena: "Arena") -> tuple[str, ...]:
+    """The scripted opponents of the league's pool: by default all that a whole team of the arena can play."""
+    if config.rating.scripts is not None:
+        return config.rating.scripts
+    return tuple(dict.fromkeys(name for team in arena.teams for name in arena.playable(team)))
+
+
+def _examine_scripts(config: Config, arena: "Arena") -> None:
+    known = {name for team in arena.teams for name in arena.playable(team)}
+    for name in config.rating.scripts or ():
+        if name not in known:
+            listed = ", ".join(sorted(known)) or "none"
+            raise ConfigError(("rating", "scripts"), f"rating.scripts: {arena.name} has no script {name!r} ({listed})")
+    for player in roster(config, [team.name for team in arena.teams]):
+        if player.name in known:
+            raise ConfigError(("players",), f"players: {player.name} is the name of a scripted opponent; use another")
+
+
+def _examine_device(config: Config, arena: "Arena") -> None:
+    if config.training.device == "cuda" and not devices.torch_has_cuda():
+        raise refuse(("training", "device"), "cuda", "torch sees no CUDA device here; use auto or cpu")
+    if config.deterministic and arena.engine.name == "warp":
+        raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
+
+
+def _examine_memory(config: Config, arena: "Arena") -> None:
+    """Refuse a batch of experience that cannot fit, rather than be killed by the operating system over it."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    per_decision = 4 * sum(agent.observation_size + 2 * agent.action_size + 8 for agent in arena.agents)
+    needed = COPIES * worlds(config) * config.training.rollout * per_decision
+    if needed > MEMORY_SHARE * total:
+        raise ConfigError(
+            ("training", "worlds"),
+            f"training.worlds × training.rollout = {worlds(config)} × {config.training.rollout}: such a batch needs"
+            f" about {needed / 1e9:.0f} GB, and this machine has {total / 1e9:.0f} GB",
+        )
+
+
+def _serve(request: Mapping[str, Any]) -> Prepared:
+    """Do what `prepare` asks for."""
+    config = configuration.loads(request["config"])
+    stages = [configuration.stage(config, number) for number in range(len(config.stages))]
+    arenas = [examine(each) for each in stages or [config]]
+    if os.getppid() != request["parent"]:
+        raise PrepareError("the process that asked has gone; nothing was written")
+    _examine_heritage(request["where"], config, list(map(players_of, stages or [config], arenas)))
+    with Store.open(request["where"], create=True, blobs=config.storage.blobs) as store:
+        if stages:  # each is made when it is its turn
+            store.create_league(League(config.league, configuration.dumps(config)))
+        else:
+            create(store, config, arenas[0])
+    arena = arenas[0]
+    sides = tuple(f"{t.name} ({crowd(a.kind for a in t.agents)})" for t in arena.teams)
+    return Prepared(arena.name, arena.engine.name, worlds(config), sides)
+
+
+def main() -> None:
+    """Read a request from stdin and answer it on stdout: the process that `prepare` starts."""
+    from league import environment
+    from storage.errors import StorageError
+
+    environment.prepare()
+    with os.fdopen(os.dup(1), "w") as answer:
+        os.dup2(2, 1)  # libraries greet on stdout
+        try:
+            told: dict[str, Any] = {"prepared": asdict(_serve(json.load(sys.stdin)))}
+        except ConfigError as error:
+            told = {"refused": error.message, "key": error.key}
+        except StorageError as error:
+            told = {"refused": str(error), "key": ()}
+        json.dump(told, answer)
+
+
+if __name__ == "__main__":
+    main()

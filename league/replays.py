@@ -1,0 +1,59 @@
+"""From a played episode to its recording: what a viewer needs, frame by frame to the episode's end."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from agents.rollout import Games
+from arenas.arena import Arena
+from league.versions import versions
+from storage.recording import Recording, RecordingHeader
+from storage.records import ArenaKey, Snapshot
+
+
+def episode(
+    arena: Arena, games: Games, i: int, sides: Sequence[Snapshot], league: str, seed: int, world: int
+) -> Recording:
+    """The i-th recorded episode of a batch, which was played in `world`, with `sides` in the arena's team order."""
+    hold, decisions = arena.timing.hold, int(games.decisions[world])
+    frames = jax.tree.map(lambda x: x[:decisions, :, i].reshape(decisions * hold, *x.shape[3:]), games.frames)
+    teams = [team.name for team in arena.teams]
+    outcome = _outcome(np.asarray(games.score[world]), bool(games.void[world]), sides, teams)
+    header = RecordingHeader(
+        league, 0, seed, world, ArenaKey(arena.name, arena.config_hash, arena.engine.name),
+        tuple(s.name for s in sides), tuple(s.digest for s in sides), tuple(teams),
+        tuple(tuple(a.name for a in team.agents) for team in arena.teams),
+        tuple(float(s) for s in games.score[world]), outcome, arena.timing.control_interval, arena.marker_kinds,
+        versions(),
+    )  # fmt: skip
+    rewards = np.zeros((decisions * hold, len(teams)))
+    rewards[hold - 1 :: hold] = games.reward[:decisions, i]
+    scores = np.zeros_like(rewards)
+    scores[-1] = games.score[world]
+    actions = {name: np.repeat(a[:decisions, i], hold, axis=0) for name, a in games.actions.items()}
+    events = [*_events(frames.events, teams), (decisions * hold - 1, outcome)]
+    return Recording(
+        header, arena.scene.xml, frames.time, frames.qpos, actions, rewards, scores, frames.markers, events,
+        terms={**frames.rewards, **frames.shapings},
+    )  # fmt: skip
+
+
+def _outcome(score: np.ndarray, void: bool, sides: Sequence[Snapshot], teams: Sequence[str]) -> str:
+    if void:
+        return "void"
+    if len(sides) == 1:
+        return f"{sides[0].name} {'succeeds' if score[0] > 0.5 else 'fails'}"
+    if score[0] == score[1]:
+        return "draw"
+    first = int(np.argmax(score))
+    return f"{sides[first].name} wins as {teams[first]}"
+
+
+def _events(happened: dict[str, np.ndarray], teams: Sequence[str]) -> list[tuple[int, str]]:
+    """(step, "name: team") where an event (T, teams) begins, in the order in which they happened."""
+    found = []
+    for name, by_team in happened.items():
+        begins = by_team & ~np.vstack([np.zeros_like(by_team[:1]), by_team[:-1]])
+        found += [(int(step), f"{name}: {teams[team]}") for step, team in zip(*np.nonzero(begins), strict=True)]
+    return sorted(found)

@@ -1,0 +1,185 @@
+"""Arenas described for people: one row of a list, and everything about one of them, as plain values.
+
+What stands in a sheet comes from the arena itself and from its settings: a page or a table made of it is no copy of
+something that has since moved on.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+from arenas.about import Legend, Outline, Part, Seat, crowd, indexed, numbers
+from league.config.schema import notes
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena
+    from arenas.options import Settings
+
+Row = dict[str, object]
+PICTURES = "docs/pictures/arenas"
+
+
+@dataclass(frozen=True)
+class Role:
+    """Agents of one kind that see alike."""
+
+    kind: str
+    agents: tuple[str, ...]
+    observation: tuple[Part, ...]
+    action: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """All about one arena."""
+
+    name: str
+    outline: Outline
+    roles: tuple[Role, ...]
+    legend: Legend
+    scripts: Mapping[str, tuple[str, ...]]  # team -> those that all its robots know
+    settings: "Settings"
+
+    @property
+    def page(self) -> str:
+        """The file of its page; empty where it has none."""
+        return f"docs/arenas/{self.outline.page}.md" if self.outline.page else ""
+
+    @property
+    def picture(self) -> str:
+        """The file of its picture, a moment of a match between scripts; empty where it has no page."""
+        return f"{PICTURES}/{self.name}.png" if self.outline.page else ""
+
+
+def outline(settings: "Settings", built: "Arena | None" = None) -> Outline:
+    """An arena in a line: as its settings tell it, else as it is once it is built."""
+    told = getattr(settings, "outline", None)
+    if told is not None:
+        return told()
+    arena = built or settings.build(engine="c", threads=1)
+    teams = {
+        team.name: tuple(Seat(a.kind, a.observation_size, a.action_size) for a in team.agents) for team in arena.teams
+    }
+    return Outline((type(arena).__doc__ or "").partition("\n")[0], teams, arena.timing)
+
+
+def sheet(settings: "Settings") -> Sheet:
+    """Build an arena and describe it. Its own code may raise anything."""
+    arena = settings.build(engine="c", threads=1)
+    roles: dict[tuple[str, tuple[Part, ...], tuple[Part, ...]], list[str]] = {}
+    for agent in arena.agents:
+        sees = arena.observation_parts(agent.name) or (Part("unnamed", agent.observation_size),)
+        acts = arena.robots[agent.name].action_parts or (Part("unnamed", agent.action_size),)
+        roles.setdefault((agent.kind, sees, acts), []).append(agent.name)
+    return Sheet(
+        settings.name, outline(settings, arena),
+        tuple(Role(kind, tuple(agents), sees, acts) for (kind, sees, acts), agents in roles.items()),
+        _worded(arena.legend(), settings), {team.name: arena.playable(team) for team in arena.teams}, settings,
+    )  # fmt: skip
+
+
+def _worded(legend: Legend, settings: "Settings") -> Legend:
+    """The legend with the notes of settings where it leaves it to these to say what a term is."""
+    weights = getattr(settings, "reward", None)
+    found = notes(type(weights))[1] if weights is not None else {}
+
+    def words(terms: Mapping[str, str]) -> dict[str, str]:
+        weighted = {name: f"{getattr(weights, name):+g} {_flat(found[name])}" for name in terms if name in found}
+        return {name: what or weighted.get(name, "") for name, what in terms.items()}
+
+    return replace(legend, rewards=words(legend.rewards), shapings=words(legend.shapings))
+
+
+def line(name: str, told: Outline) -> Row:
+    """An arena as a row of a list."""
+    return {
+        "arena": name,
+        "teams": _teams(told.teams),
+        "decisions_per_second": 1 / told.timing.decision_interval,
+        "episode": told.timing.episode,
+        "sees": ", ".join(_distinct(f"{seat.sees}" for seats in told.teams.values() for seat in seats)),
+        "what": told.what,
+    }
+
+
+def timing(told: Outline) -> str:
+    """An arena's clock in a sentence."""
+    t = told.timing
+    per_second, held = _counted(1 / t.decision_interval, "decision"), _counted(t.hold, "control step")
+    return (
+        f"{per_second} per second, held for {held} of {t.control_interval:g} s each ({t.substeps} × {t.timestep:g} s of"
+        f" physics); an episode lasts at most {t.episode:g} s, {_counted(t.decisions, 'decision')}."
+    )
+
+
+def team_rows(found: Sheet) -> list[Row]:
+    """Who plays, and which scripts can play in their place."""
+    return [
+        {"team": team, "robots": _robots(seats), "scripts": ", ".join(found.scripts[team]) or "none"}
+        for team, seats in found.outline.teams.items()
+    ]
+
+
+def part_rows(parts: Sequence[Part]) -> list[Row]:
+    """An observation's or action's numbers with their places."""
+    return [
+        {"index": place, "what": part.name, "unit": part.unit, "meaning": part.meaning}
+        for place, part in indexed(parts)
+    ]
+
+
+def term_rows(legend: Legend) -> list[Row]:
+    """What the verdicts' terms and events are."""
+    kinds = (("reward", legend.rewards), ("shaping", legend.shapings), ("event", legend.events))
+    return [{"name": name, "kind": kind, "what": what} for kind, terms in kinds for name, what in terms.items()]
+
+
+def size(parts: Sequence[Part]) -> str:
+    """How many numbers the parts are, in words."""
+    return _counted(numbers(parts), "number")
+
+
+def as_json(found: Sheet) -> dict[str, object]:
+    """A sheet for programs."""
+    t = found.outline.timing
+    return {
+        "name": found.name, "what": found.outline.what, "page": found.page, "picture": found.picture,
+        "teams": {team: [seat.kind for seat in seats] for team, seats in found.outline.teams.items()},
+        "scripts": {team: list(names) for team, names in found.scripts.items()},
+        "timing": {**asdict(t), "decision_interval": t.decision_interval, "decisions": t.decisions},
+        "roles": [
+            {
+                "kind": role.kind, "agents": list(role.agents),
+                "observation": [{"index": i, **part._asdict()} for i, part in indexed(role.observation)],
+                "action": [{"index": i, **part._asdict()} for i, part in indexed(role.action)],
+            }
+            for role in found.roles
+        ],
+        **asdict(found.legend),
+        "settings": asdict(found.settings),
+    }  # fmt: skip
+
+
+def _teams(teams: Mapping[str, Sequence[Seat]]) -> str:
+    """Teams and their rosters in a few words."""
+    rosters = [_robots(seats) for seats in teams.values()]
+    if len(rosters) > 1 and len(set(rosters)) == 1:
+        return f"{' and '.join(teams)}: {rosters[0]} each"
+    return ", ".join(f"{team}: {robots}" for team, robots in zip(teams, rosters, strict=True))
+
+
+def _flat(note: str) -> str:
+    """A note as the end of a sentence."""
+    return (note[:1].lower() + " ".join(note[1:].split())).removesuffix(".")
+
+
+def _robots(seats: Iterable[Seat]) -> str:
+    return crowd(seat.kind for seat in seats)
+
+
+def _counted(count: float, what: str) -> str:
+    return f"{count:,g} {what}{'' if count == 1 else 's'}"
+
+
+def _distinct(words: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(words))

@@ -1,0 +1,95 @@
+"""A league as its store has it now, as one value: what the plan, the tables and the progress line look at."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from matchmaking.ladder import Ladder
+from storage.records import ArenaKey, Checkpoint, Job, Phase, Player, Snapshot
+from storage.store import Store
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a league stands: its players, where they are, their frozen policies, what waits, and who beat whom."""
+
+    players: Sequence[Player] = ()
+    snapshots: Sequence[Snapshot] = ()  # of no player first, then by (iteration, name)
+    checkpoints: Mapping[str, Checkpoint] = field(default_factory=dict)  # player -> its newest
+    phases: Mapping[str, Phase] = field(default_factory=dict)  # group -> its newest
+    jobs: Sequence[Job] = ()  # that wait, are worked on or were set aside, oldest first
+    arena: ArenaKey | None = None  # under which matches are rated now; None before the first
+    ladder: Ladder = field(default_factory=lambda: Ladder(()))  # of the rating matches under it
+    read: int = 0  # the last rating match that was read, under whatever key
+    played: float = 0.0  # when that match was written, on the database's clock
+    rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
+    revision: int = -1  # of the store when this was read
+
+    @classmethod
+    def of(
+        cls,
+        store: Store,
+        league: str,
+        before: "Standing | None" = None,
+        arena: ArenaKey | None = None,
+        recent: int = 0,
+    ) -> "Standing":
+        """Read it. `before` itself where nothing has changed since; of the match log only what came after it.
+
+        The ladder is that of `arena`, without one that of the newest rating match. `recent` is the number of learning
+        iterations over which `rewards` are taken; with 0 there are none. Raises UnknownName for a league that is not
+        there.
+        """
+        # In this order: what changes while we read is read again next time, and a job whose results we have read may
+        # look unfinished for that long, but no job looks finished whose results we have not read.
+        revision = store.revision(league)
+        if before is not None and before.revision == revision and arena in (None, before.arena):
+            return before
+        jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
+        snapshots = store.snapshots(league)
+        arena, ladder, read, played = _ladder(store, league, before, arena, snapshots)
+        checkpoints = store.newest_checkpoints(league)
+        return cls(
+            store.players(league), snapshots, checkpoints, store.phases(league),
+            sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
+            _rewards(store, checkpoints, recent), revision,
+        )  # fmt: skip
+
+    def history(self, player: str) -> list[Snapshot]:
+        """A player's snapshots, oldest first."""
+        return [s for s in self.snapshots if s.player == player]
+
+    @property
+    def newest(self) -> Checkpoint | None:
+        """The checkpoint of the player that has come furthest, None before the first."""
+        return max(self.checkpoints.values(), key=lambda c: c.iteration, default=None)
+
+    @property
+    def one_team(self) -> bool:
+        """Whether all players are of one team, which then has nobody to play against."""
+        return len({player.team for player in self.players}) == 1
+
+
+def _rewards(store: Store, checkpoints: Mapping[str, Checkpoint], recent: int) -> dict[str, float]:
+    """Reward per episode of each player over its last `recent` iterations, of those that have so many and ended any."""
+    found = {}
+    for name, at in checkpoints.items() if recent else ():
+        points = [p.values for p in store.curves(at.league, name, after=at.iteration - recent)]
+        lengths = [p["length"] for p in points if "length" in p]
+        if len(points) >= recent and lengths:
+            found[name] = sum(p["reward"] for p in points) / len(points) * sum(lengths) / len(lengths)
+    return found
+
+
+def _ladder(
+    store: Store, league: str, before: Standing | None, arena: ArenaKey | None, snapshots: Sequence[Snapshot]
+) -> tuple[ArenaKey | None, Ladder, int, float]:
+    """The key, its ladder, the last match that was read, and when that was written."""
+    names, anchors = [s.name for s in snapshots], [s.name for s in snapshots if s.initial]
+    before = before or Standing()
+    log = store.matches(league, "rating", after=before.read)
+    read, played = (log[-1].id, log[-1].created) if log else (before.read, before.played)
+    key = arena or (log[-1].arena if log else before.arena)
+    known = before.ladder
+    if key != before.arena and before.read:  # another ladder than before: from the start
+        log, known = [m for m in store.matches(league, "rating") if m.id <= read], Ladder(())
+    return key, known.extended([m for m in log if m.arena == key], names, anchors), read, played

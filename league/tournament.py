@@ -1,0 +1,177 @@
+"""All scripts of an arena against all, as a table for its page: who beats whom, and how sure that is.
+
+    python -m league.tournament sumo-1v1                         # prints the table
+    python -m league.tournament sumo-1v1 --episodes 500 --page   # and writes it into the arena's page
+
+The episodes are those of a league's rating matches: the same referee plays and counts them (`league/evaluate.py`), with
+seed pairs and sides swapped where rosters are equal, in a store that is gone afterwards. A page has the table between
+two lines, as it has what `league/pages.py` writes: one such part for each of its arenas, put where people want it.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from pathlib import Path
+from typing import get_args
+
+import arenas
+from arenas.arena import Arena
+from arenas.errors import ArenaError
+from arenas.options import EngineName, Settings
+from league import pages, sheets
+from league.cli import guarded
+from league.config import experiment as configuration
+from league.config.experiment import Config
+from league.config.sections import Rating
+from league.evaluate import Referee
+from league.jobs import RatingMatch
+from league.policies import add_scripts
+from matchmaking.ladder import Ladder
+from storage.records import ArenaKey, League, Match
+from storage.store import Store
+
+LEAGUE = "tournament"
+EPISODES = 500
+
+
+@dataclass(frozen=True)
+class Tournament:
+    """Who played, and all that was played; `sides` are the names of each team's snapshots, by script."""
+
+    key: ArenaKey
+    teams: tuple[str, ...]
+    sides: tuple[dict[str, str], ...]  # script -> snapshot, of each team; equal where rosters are
+    episodes: int  # for each pair, void ones included
+    ladder: Ladder
+
+    @property
+    def alike(self) -> bool:
+        """Whether both teams are of one roster."""
+        return len(self.sides) == 2 and self.sides[0] == self.sides[1]
+
+
+def pairs(sides: Sequence[dict[str, str]]) -> list[tuple[str, str | None]]:
+    """Who shall meet: every script every other one; each of one side each of the other; in an arena of one team nobody.
+
+    Raises ArenaError where teams are more than two, or one has no script.
+    """
+    if len(sides) > 2:
+        raise ArenaError(f"a table of scripts is for one team or two, and here are {len(sides)}")
+    if not all(sides):
+        raise ArenaError("a table of scripts needs one that a whole team can play, for each of the teams")
+    if len(sides) == 1:
+        return [(name, None) for name in sides[0].values()]
+    first, second = (side.values() for side in sides)
+    return [*combinations(first, 2)] if sides[0] == sides[1] else [*product(first, second)]
+
+
+def play(arena: Arena, settings: Settings, episodes: int = EPISODES, seed: int = 1) -> Tournament:
+    """Play all pairs, `episodes` each, an even number, each pair with dice of its own; says on stderr who is at it."""
+    config = Config(arena=settings, rating=Rating(worlds=episodes, pairings=1, record=False))
+    referee = Referee(config, arena, LEAGUE)
+    with tempfile.TemporaryDirectory() as folder, Store.open(folder, create=True, blobs=Path(folder, "blobs")) as store:
+        store.create_league(League(LEAGUE, configuration.dumps(config)))
+        add_scripts(store, LEAGUE, arena, None)
+        known = {(s.roster, s.script): s.name for s in store.snapshots(LEAGUE)}
+        sides = tuple({script: known[team.roster, script] for script in arena.playable(team)} for team in arena.teams)
+        matches: list[Match] = []
+        for number, (a, b) in enumerate(pairs(sides)):
+            print(f"{arena.name}: {a}{f' against {b}' if b else ''}", file=sys.stderr)
+            matches += referee.play(store, RatingMatch(((a, b),), seed + number, record=False))
+    ladder = Ladder([name for side in sides for name in side.values()], matches)
+    return Tournament(referee.key, tuple(team.name for team in arena.teams), sides, episodes, ladder)
+
+
+def told(played: Tournament) -> str:
+    """The tournament in Markdown: what was played, and the table."""
+    return f"{_sentence(played)}\n\n{pages.table(_rows(played), _columns(played))}"
+
+
+def _sentence(played: Tournament) -> str:
+    of = f"on engine `{played.key.engine}` (rules {played.key.config_hash[:8]})"
+    if len(played.sides) == 1:
+        return (
+            f"Success of the scripts in `{played.key.arena}`, with its 95 % interval: {played.episodes} episodes {of}."
+        )
+    whose = "the row's script against the column's"
+    how = "seed pairs with sides swapped"
+    if not played.alike:
+        whose = f"{played.teams[0]} (rows) against {played.teams[1]} (columns)"
+        how = "sides as they are, for the teams are unlike"
+    return (
+        f"Score of {whose} in `{played.key.arena}`, a draw counts half, with its 95 % interval: {played.episodes}"
+        f" episodes of each pair {of}, {how}."
+    )
+
+
+def _columns(played: Tournament) -> list[str]:
+    return ["", *(["success"] if len(played.sides) == 1 else played.sides[1])]
+
+
+def _rows(played: Tournament) -> Iterator[dict[str, object]]:
+    for script, a in played.sides[0].items():
+        row: dict[str, object] = {"": script}
+        if len(played.sides) == 1:
+            row["success"] = _cell(played.ladder, a, None)
+        else:
+            row |= {other: _cell(played.ladder, a, b) for other, b in played.sides[1].items()}
+        yield row
+
+
+def _cell(ladder: Ladder, a: str, b: str | None) -> str:
+    """A score with its interval, and how many episodes were drawn or void where some were."""
+    if a == b:
+        return "–"
+    payoff, i = ladder.payoff, ladder.payoff.index(a)
+    if b is None:
+        score, draws, voids = ladder.success(a), 0, int(payoff.trials[i, 2])
+    else:
+        j = payoff.index(b)
+        score, draws, voids = ladder.score(a, b), payoff.draws[i, j], (payoff.episodes - payoff.games)[i, j]
+    counts = [f"{n} {what}" for n, what in ((draws, "drawn"), (voids, "void")) if n]
+    if not score.games:
+        return ", ".join(counts)
+    return ", ".join([f"{100 * score.score:.1f} % ({100 * score.low:.1f}-{100 * score.high:.1f})", *counts])
+
+
+def begin(name: str) -> str:
+    """The line after which an arena's table stands on its page, up to `pages.END`."""
+    return f"<!-- played by the scripts of {name}: python -m league.tournament {name} --page -->"
+
+
+def write(name: str, text: str) -> Path:
+    """Put the table into the arena's page. Raises ArenaError where it has none, ValueError where that has no place."""
+    page = sheets.outline(arenas.settings(name)).page
+    if not page:
+        raise ArenaError(f"arena {name} has no page to write into")
+    file = pages.ROOT / f"docs/arenas/{page}.md"
+    file.write_text(pages.replaced(file.read_text("utf-8"), begin(name), text), "utf-8")
+    return file
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Play the arenas that are named; print each one's table, and with --page write it."""
+    asked = argparse.ArgumentParser(description="All scripts of an arena against all.")
+    asked.add_argument("names", nargs="+", metavar="NAME", help="arenas, or file.py:name for your own")
+    asked.add_argument("--episodes", type=int, default=EPISODES, help=f"of each pair, an even number ({EPISODES})")
+    asked.add_argument("--engine", choices=get_args(EngineName), default="c", help="physics (c)")
+    asked.add_argument("--seed", type=int, default=1)
+    asked.add_argument("--page", action="store_true", help="write the table into the arena's page")
+    options = asked.parse_args(argv)
+    if options.episodes < 2 or options.episodes % 2:
+        asked.error(f"--episodes {options.episodes}: must be even and 2 or more, half of them with sides swapped")
+    for name in options.names:
+        settings = arenas.settings(name)
+        arena = settings.build(engine=options.engine, worlds=options.episodes)
+        text = told(play(arena, settings, options.episodes, options.seed))
+        print(text)
+        if options.page:
+            print(write(name, text))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
