@@ -8,8 +8,6 @@ its own initial snapshot, so that the curve has a point for each.
 
 import argparse
 import json
-import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -18,17 +16,24 @@ from pathlib import Path
 
 import numpy as np
 
-from league.environment import prepare
+# Not this folder, whose arenas.py would hide the package of that name.
+sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from league.environment import prepare  # noqa: E402
 
 prepare()  # before jax reads the environment
 
 import jax  # noqa: E402
 
-from league import config as configuration  # noqa: E402
+from benchmarks.record import commit, machine  # noqa: E402
+from league.config import experiment as configuration  # noqa: E402
+from league.config import presets  # noqa: E402
 from league.evaluate import Referee  # noqa: E402
-from league.plan import Standing, newest_snapshots, yardsticks  # noqa: E402
+from league.jobs import RatingMatch  # noqa: E402
+from league.measures import newest_snapshots, yardsticks  # noqa: E402
+from league.standing import Standing  # noqa: E402
 from league.versions import versions  # noqa: E402
-from matchmaking.payoff import tally  # noqa: E402
+from matchmaking.ladder import Ladder  # noqa: E402
 from storage.store import Store  # noqa: E402
 
 EPISODES = 256
@@ -72,10 +77,10 @@ def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
         league = "quickstart"
         config = configuration.loads(store.league(league).config)
         standing = Standing.of(store, league)
-        first = min(c.created - c.seconds for c in standing.checkpoints if c.iteration > 0)
+        first = min(c.created - c.seconds for c in store.checkpoints(league) if c.iteration > 0)
         last = standing.newest
         assert last is not None
-        payoff = standing.payoff()
+        played = store.matches(league, "rating")
         return {
             "seed": seed,
             "wall_seconds": round(wall, 1),
@@ -85,21 +90,26 @@ def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
             "steps_per_second_learning_included": round(last.step / last.seconds),
             "control_steps_per_second": round(last.step / last.seconds * config.arena.rules.decide_every),
             "snapshots_per_player": len(standing.history("blue")),
-            "rated_episodes": sum(m.wins + m.draws + m.losses for m in standing.matches),
-            "void_episodes": sum(m.voids for m in standing.matches),
+            "rated_episodes": sum(m.wins + m.draws + m.losses for m in played),
+            "void_episodes": sum(m.voids for m in played),
             "newest": [
-                {"snapshot": s.name, "against": o.name, "against_seconds": round(o.seconds, 1), **score(payoff, s, o)}
+                {
+                    "snapshot": s.name,
+                    "against": o.name,
+                    "against_seconds": round(o.seconds, 1),
+                    **score(standing.ladder, s, o),
+                }
                 for s in newest_snapshots(standing)
                 for o in yardsticks(config, standing, s)
-                if payoff.score(s.digest, o.digest).games
+                if standing.ladder.score(s.name, o.name).games
             ],
             "curve": curve(store, config, standing),
         }
 
 
-def score(payoff, snapshot, other) -> dict:
+def score(ladder: Ladder, snapshot, other) -> dict:
     """Score with its 95 % interval."""
-    found = payoff.score(snapshot.digest, other.digest)
+    found = ladder.score(snapshot.name, other.name)
     return {"score": round(found.score, 4), "low": round(found.low, 4), "high": round(found.high, 4), "n": found.games}
 
 
@@ -110,12 +120,12 @@ def curve(store: Store, config, standing: Standing) -> list[dict]:
     pairs = [(s, standing.history(p.name)[0]) for p in standing.players for s in standing.history(p.name)[1:]]
     matches = []
     for i in range(0, len(pairs), referee.pairings):
-        batch = [(a.digest, b.digest) for a, b in pairs[i : i + referee.pairings]]
+        batch = tuple((a.name, b.name) for a, b in pairs[i : i + referee.pairings])
         for repeat in range(-(-EPISODES // (2 * referee.each))):
-            matches += referee.play(store, batch, seed=10_000 + 100 * i + repeat)
-    payoff = tally(matches)
+            matches += referee.play(store, RatingMatch(batch, 10_000 + 100 * i + repeat))
+    ladder = Ladder([s.name for s in standing.snapshots], matches)
     return [
-        {"player": s.player, "iteration": s.iteration, "seconds": round(s.seconds, 1), **score(payoff, s, start)}
+        {"player": s.player, "iteration": s.iteration, "seconds": round(s.seconds, 1), **score(ladder, s, start)}
         for s, start in pairs
     ]
 
@@ -124,7 +134,7 @@ def bare_batch(worlds: int = 256, seconds: float = 10.0) -> dict:
     """`mujoco.batch.Batch` alone on the quick start's model: control steps per second with random controls."""
     from mujoco.batch import Batch
 
-    arena = configuration.quickstart().arena.build(engine="c")
+    arena = presets.quickstart().arena.build(engine="c")
     batch = Batch(arena.scene.model, worlds)
     batch.bind("qpos")[:] = np.asarray(arena.place(jax.random.key(0))[0])
     ctrl = batch.bind("ctrl")
@@ -139,26 +149,6 @@ def bare_batch(worlds: int = 256, seconds: float = 10.0) -> dict:
             steps += arena.timing.hold * worlds
         rates.append(steps / (time.monotonic() - began))
     return {"worlds": worlds, "control_steps_per_second": [round(r) for r in rates]}
-
-
-def machine() -> dict:
-    """What it ran on."""
-    import jax
-
-    model = next(
-        (x.split(":")[1].strip() for x in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in x), ""
-    )
-    return {
-        "cpu": model or platform.processor(),
-        "cores": os.cpu_count(),
-        "devices": [d.device_kind for d in jax.devices()],
-    }
-
-
-def commit() -> str:
-    """The commit that ran, with + where the tree was changed."""
-    head = subprocess.run(["git", "describe", "--always", "--dirty=+"], capture_output=True, text=True, check=False)
-    return head.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":

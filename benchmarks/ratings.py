@@ -30,7 +30,9 @@ def simulate(policies: int, rows: int, episodes: int, rng: np.random.Generator) 
         pairs = PairCounts(*(int(n) for n in np.bincount(first + 2 - second, minlength=5)))
         key = ArenaKey("sumo", "0", "c")
         names = f"{a:064d}", f"{b:064d}"
-        matches.append(Match("bench", key, *names, wins, draws, losses, 0, *side, pairs, seed=row, id=row))
+        matches.append(
+            Match("bench", key, *names, wins, draws, losses, 0, side[0], side[1], side[2], pairs, seed=row, id=row)
+        )
     return matches, theta
 
 
