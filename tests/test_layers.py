@@ -50,3 +50,11 @@ def test_the_command_line_starts_without(heavy):
     loaded = run(sys.executable, "-c", "import league.cli, sys; print(*sys.modules, sep='\\n')").splitlines()
     assert "league.cli" in loaded
     assert heavy not in loaded
+
+
+@pytest.mark.parametrize("heavy", ["jax", "torch", "mujoco"])
+def test_arenas_settings_load_without(heavy):
+    text = "import arenas, sys; print(len(arenas.known()), *sys.modules, sep='\\n')"
+    count, *loaded = run(sys.executable, "-c", text).splitlines()
+    assert int(count) > 5
+    assert heavy not in loaded

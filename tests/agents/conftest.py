@@ -7,8 +7,11 @@ import pytest
 import torch
 
 import arenas
-from agents.happo import Batch, Learner
-from agents.networks import Actor, Architecture
+from agents.batch import Batch
+from agents.happo import Learner
+from agents.networks import Actor, Squashed
+from agents.rollout import make_rollout
+from agents.settings import Architecture
 from arenas.arena import Arena
 from arenas.sumo import SumoRules
 
@@ -22,6 +25,8 @@ def scrambled_actor(seed: int, architecture: Architecture, observations: int = 2
             tensor += 0.3 * torch.randn(tensor.shape, generator=rng)
         actor.trunk.observation_mean += torch.randn(observations, generator=rng)
         actor.trunk.observation_var += torch.rand(observations, generator=rng)
+        actor.trunk.observation_var[0] = 0.0  # as after a feature that never moved
+        actor.trunk.observation_clip.fill_(2.0)
     return actor
 
 
@@ -36,14 +41,20 @@ def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float 
     following = [normal(*o.shape) for o in observations]
     with torch.no_grad():
         policies = [actor(o) for actor, o in zip(learner.actors, observations, strict=True)]
-        actions = [p.mean + p.stddev * normal(*p.mean.shape) for p in policies]
+        gaussians = [actor.gaussian(o) for actor, o in zip(learner.actors, observations, strict=True)]
+        actions = [p.mean + p.stddev * normal(*p.mean.shape) for p in gaussians]
+        actions = [
+            p.limit * torch.tanh(a / p.limit) if isinstance(p, Squashed) else a
+            for p, a in zip(policies, actions, strict=True)
+        ]
         log_probs = [
             p.log_prob(a).sum(-1) + 0.3 * (2 * torch.rand((T, N), generator=rng) - 1)
             for p, a in zip(policies, actions, strict=True)
         ]
     ends = torch.rand((T, N), generator=rng)
     kinds = (ends < 0.1, (ends > 0.1) & (ends < 0.2), ends > 1 - void)  # terminated, truncated, void
-    return Batch(observations, following, actions, log_probs, normal(T, N) + 2.0, *kinds)
+    alive = [torch.ones((T, N), dtype=torch.bool) for _ in learner.actors]
+    return Batch(observations, following, actions, log_probs, alive, alive, normal(T, N) + 2.0, *kinds)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -70,6 +81,12 @@ def short_sumo() -> Arena:
     """1v1 on the C engine with episodes of 20 decisions at most, whose ring shrinks at once."""
     rules = SumoRules(ring=(1.2, 1.8), episode=2.0, shrink_after=0.2)
     return replace(arenas.settings("sumo-1v1"), rules=rules).build(engine="c", threads=2)
+
+
+@pytest.fixture(scope="session")
+def short_rollout(short_sumo) -> jax.stages.Wrapped:
+    """45 decisions of it: tests that seat the same shapes share one compilation."""
+    return make_rollout(short_sumo, 45)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 
 from agents.bridge import team_batch
 from agents.rollout import Trajectory
-from arenas.arena import AgentSpec, TeamSpec
+from arenas.state import AgentSpec, TeamSpec
 
 T, N = 3, 5
 RED = TeamSpec("red", (AgentSpec("red/0", "ant", 2, 1), AgentSpec("red/1", "rover", 3, 2)))
@@ -28,10 +28,14 @@ def trajectory() -> Trajectory:
             name: encoded(field, a, *([] if size is None else [AGENTS[name][size]])) for a, name in enumerate(AGENTS)
         }
 
-    flags = [jnp.asarray(np.indices((T, N)).sum(0) % 3 == i) for i in range(3)]
+    def living(every: int):
+        return {name: jnp.asarray(np.indices((T, N)).sum(0) % every != a) for a, name in enumerate(AGENTS)}
+
+    flags = [jnp.asarray(np.indices((T, N)).sum(0) % 4 == i) for i in range(3)]
+    nobody, uncut = jnp.zeros((T, N, 2), bool), jnp.zeros((T, N), bool)
     return Trajectory(
-        per_agent(1, 0), per_agent(2, 0), per_agent(3, 1), per_agent(4, None),
-        encoded(5, 0, 2), encoded(6, 0, 2), encoded(7, 0, 2), *flags,
+        per_agent(1, 0), per_agent(2, 0), per_agent(3, 1), per_agent(4, None), living(3), living(4),
+        encoded(5, 0, 2), encoded(6, 0, 2), encoded(7, 0, 2), *flags, nobody, uncut, jnp.ones((T, N), jnp.int32),
     )  # fmt: skip
 
 
@@ -49,7 +53,28 @@ def test_a_teams_batch_is_its_agents_in_its_worlds(worlds, trajectory):
         np.testing.assert_array_equal(batch.next_observations[i], expected(2, agent, observed))
         np.testing.assert_array_equal(batch.actions[i], expected(3, agent, acted))
         np.testing.assert_array_equal(batch.log_probs[i], expected(4, agent))
+        np.testing.assert_array_equal(batch.alive[i], (np.indices((T, N)).sum(0) % 3 != agent)[:, mine])
+        np.testing.assert_array_equal(batch.next_alive[i], (np.indices((T, N)).sum(0) % 4 != agent)[:, mine])
     np.testing.assert_array_equal(batch.rewards, expected(5, 0, 2)[..., 1] + 0.5 * expected(6, 0, 2)[..., 1])
     for i, flag in enumerate((batch.terminated, batch.truncated, batch.void)):
-        np.testing.assert_array_equal(flag, (np.indices((T, N)).sum(0) % 3 == i)[:, mine])
-    assert [len(x) for x in batch[:4]] == [2] * 4
+        np.testing.assert_array_equal(flag, (np.indices((T, N)).sum(0) % 4 == i)[:, mine])
+    assert [len(x) for x in batch[:6]] == [2] * 6
+
+
+def test_who_breaks_physics_has_lost_and_the_others_know_nothing_of_it(trajectory):
+    void, blamed = np.array(trajectory.void), np.zeros((T, N, 2), bool)
+    blamed[..., 1] = void & (np.arange(N) < 3)
+    assert 0 < blamed.sum() < void.sum()
+    told = trajectory._replace(culprits=jnp.asarray(blamed), reward=trajectory.reward.at[void].set(np.nan))
+
+    batch = team_batch(told, RED, 1, slice(None), shaping=0.5, blame=2.0)
+    own = blamed[..., 1]
+    assert (np.asarray(batch.rewards.cpu())[own] == -2.0).all()
+    assert np.asarray(batch.terminated.cpu())[own].all()
+    np.testing.assert_array_equal(batch.void.cpu(), void & ~own)
+    plain = team_batch(trajectory, RED, 1, slice(None), shaping=0.5)
+    np.testing.assert_array_equal(batch.rewards.cpu()[~void], plain.rewards.cpu()[~void])
+    np.testing.assert_array_equal(batch.terminated.cpu()[~void], plain.terminated.cpu()[~void])
+
+    blue = TeamSpec("blue", (AgentSpec("blue/0", "ant", 4, 1),))
+    assert np.array_equal(team_batch(told, blue, 0, slice(None), shaping=0.5).void.cpu(), void)

@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from agents.happo import HappoConfig, Learner
-from agents.networks import Architecture
+from agents.errors import Diverged
+from agents.happo import Learner
+from agents.settings import Architecture, HappoConfig
 from storage import arrays
 
 SMALL = Architecture((5,))
@@ -22,6 +23,10 @@ PLAIN = HappoConfig(
 
 def new_learner(agents: int, config: HappoConfig = PLAIN, seed: int = 0) -> Learner:
     return Learner([4, 3, 5][:agents], [2, 1, 3][:agents], config, seed)
+
+
+def critic_of(learner: Learner) -> torch.nn.Module:
+    return learner.critic_learners[0].network
 
 
 def log_density(actor: torch.nn.Module, obs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
@@ -59,7 +64,7 @@ def ppo(actor: torch.nn.Module, obs: Tensor, actions: Tensor, old: Tensor, A: Te
 
 def standardised_advantage(learner: Learner, batch) -> Tensor:
     with torch.no_grad():
-        A = (batch.rewards - learner.critic(torch.cat(list(batch.observations), -1))).flatten()
+        A = (batch.rewards - critic_of(learner)(torch.cat(list(batch.observations), -1))).flatten()
     return (A - A.mean()) / (A.std(correction=0) + 1e-5)
 
 
@@ -127,7 +132,7 @@ def test_the_value_loss_is_clipped_and_huber(value_norm, experience):
     config = replace(PLAIN, value_norm=value_norm, huber_delta=0.5, clip=0.05)
     learner = new_learner(2, config)
     batch = experience(learner, seed=3)
-    critic = copy.deepcopy(learner.critic)
+    critic = copy.deepcopy(critic_of(learner))
     team = torch.cat(list(batch.observations), -1).flatten(0, 1)
     R = batch.rewards.flatten()  # γ = 0
     target = (R - R.mean()) / R.std(correction=0) if value_norm else R
@@ -149,8 +154,8 @@ def test_the_value_loss_is_clipped_and_huber(value_norm, experience):
         linear, square = int(((target - value).abs() > 0.5).sum()), int(((target - value).abs() < 0.5).sum())
     learner.update(batch)
     assert min(moved, linear, square) > 0  # every branch of the formula was taken
-    assert worst_gap(critic, learner.critic) < 1e-5
-    assert worst_gap(new_learner(2).critic, learner.critic) > 1e-2
+    assert worst_gap(critic, critic_of(learner)) < 1e-5
+    assert worst_gap(critic_of(new_learner(2)), critic_of(learner)) > 1e-2
 
 
 FULL = replace(
@@ -176,6 +181,61 @@ def test_what_a_void_decision_holds_changes_nothing(experience, same):
     assert all(np.isfinite(array).all() for array in states[0].values())
 
 
+def living(batch, seed: int):
+    """The batch with agents that are out in a third of the decisions, all of them in some."""
+    rng = torch.Generator().manual_seed(seed)
+    here = [torch.rand(batch.rewards.shape, generator=rng) < 0.67 for _ in range(2 * len(batch.alive))]
+    return batch._replace(alive=here[: len(batch.alive)], next_alive=here[len(batch.alive) :])
+
+
+def test_the_numbers_of_who_is_out_of_the_game_change_nothing(experience, same):
+    states = []
+    for garbage in (None, 1e3, math.nan):
+        learner = new_learner(3, FULL)
+        batch = living(experience(learner, seed=4, void=0.1), seed=5)
+        if garbage is not None:
+            for i, alive in enumerate(batch.alive):
+                for tensor in (batch.observations[i], batch.actions[i], batch.log_probs[i]):
+                    tensor[~alive] = garbage
+                batch.next_observations[i][~batch.next_alive[i]] = garbage
+        learner.update(batch)
+        states.append(learner.state())
+    assert same(states[0], states[1])
+    assert same(states[0], states[2])
+    assert all(np.isfinite(array).all() for array in states[0].values())
+
+
+def test_agents_learn_from_what_they_lived_through(experience):
+    learner = new_learner(3)
+    batch = living(experience(learner, seed=2), seed=7)
+    alive = [a.flatten() for a in batch.alive]
+    somebody = torch.stack(alive).any(0)
+    assert 0 < int((~somebody).sum()) < 10
+    team = torch.cat([o * a[..., None] for o, a in zip(batch.observations, batch.alive, strict=True)], -1)
+    with torch.no_grad():
+        A = (batch.rewards - critic_of(learner)(team)).flatten()
+    A = (A - A[somebody].mean()) / (A[somebody].std(correction=0) + 1e-5)
+    expected, M = [copy.deepcopy(a) for a in learner.actors], torch.ones_like(A)
+    for i, actor in enumerate(expected):
+        obs, actions, old = (x[i].flatten(0, 1)[alive[i]] for x in (batch.observations, batch.actions, batch.log_probs))
+        before = log_density(actor, obs, actions)[0].detach()
+        ppo(actor, obs, actions, old, (M * A)[alive[i]], PLAIN)
+        M[alive[i]] *= (log_density(actor, obs, actions)[0].detach() - before).exp()
+    learner.update(batch)
+    for one, other in zip(expected, learner.actors, strict=True):
+        assert worst_gap(one, other) < 1e-6
+
+
+def test_who_was_out_all_the_time_stays_as_it_was(experience):
+    learner = new_learner(2, FULL)
+    batch = experience(learner, seed=4)
+    before = [copy.deepcopy(actor) for actor in learner.actors]
+    learner.update(batch._replace(alive=[batch.alive[0], torch.zeros_like(batch.alive[1])]))
+    assert worst_gap(before[0], learner.actors[0]) > 1e-3
+    assert worst_gap(before[1], learner.actors[1]) == 0.0
+    assert learner.observation_counts.tolist() == [48, 0, 48]
+
+
 def test_nothing_but_void_decisions_is_no_update(experience, same):
     learner = new_learner(2, FULL)
     before = learner.state()
@@ -191,10 +251,109 @@ def test_observation_statistics_are_those_of_all_that_was_seen(experience):
     for batch in batches:
         learner.update(batch)
     seen = [torch.cat([b.observations[i].flatten(0, 1) for b in batches]) for i in range(2)]
-    trunks = [*(actor.trunk for actor in learner.actors), learner.critic.trunk]
+    trunks = [*(actor.trunk for actor in learner.actors), critic_of(learner).trunk]
     for trunk, obs in zip(trunks, [*seen, torch.cat(seen, -1)], strict=True):
         torch.testing.assert_close(trunk.observation_mean, obs.mean(0), atol=1e-4, rtol=1e-5)
         torch.testing.assert_close(trunk.observation_var, obs.var(0, correction=0), atol=1e-4, rtol=1e-4)
+
+
+def with_garbage(batch, field: str, garbage: float, agent: int = 1):
+    """The batch with one number of a valid decision spoilt."""
+    tensors = getattr(batch, field)
+    at = tuple(torch.nonzero(~batch.void)[7])
+    (tensors if field == "rewards" else tensors[agent])[at] = garbage
+    return batch
+
+
+@pytest.mark.parametrize("update", [Learner.update, Learner.update_critic_only])
+@pytest.mark.parametrize(
+    ("field", "garbage", "named"),
+    [
+        ("rewards", math.nan, "not finite: rewards"),
+        ("actions", math.nan, "agent 1's actions"),
+        ("actions", math.inf, "agent 1's actions"),
+        ("log_probs", -math.inf, "agent 1's log densities"),
+    ],
+)
+def test_what_no_update_can_learn_from_is_refused_before_anything_changes(
+    field, garbage, named, update, experience, same
+):
+    learner = new_learner(2, FULL)
+    before = learner.state()
+    with pytest.raises(Diverged, match=named):
+        update(learner, with_garbage(experience(learner, seed=4, void=0.2), field, garbage))
+    assert same(before, learner.state())
+
+
+def test_a_broken_policy_is_noticed_though_it_makes_every_world_void(experience):
+    learner = new_learner(2, FULL)
+    batch = experience(learner, seed=4)
+    with torch.no_grad():
+        learner.actors[1].mean.weight[0, 0] = math.nan
+    for update in (learner.update, learner.update_critic_only):
+        with pytest.raises(Diverged, match=r"actor\.1\.mean\.weight"):
+            update(batch._replace(void=torch.ones_like(batch.void)))
+
+
+def test_losses_and_gradients_that_overflow_are_named(experience):
+    learner = new_learner(2)
+    batch = experience(learner, seed=4)
+    batch.log_probs[0].sub_(200.0)  # ratios of e²⁰⁰
+    with pytest.raises(Diverged, match=r"not finite: policy_loss, entropy, ratio and 2 more"):
+        learner.update(batch)
+    batch.rewards.mul_(1e25)
+    with pytest.raises(Diverged, match="not finite: value_loss, critic_grad_norm"):
+        new_learner(2, replace(PLAIN, huber_delta=1e30)).update_critic_only(batch)
+
+
+def test_weights_that_overflow_are_noticed_in_the_update_that_made_them_so(experience):
+    learner = new_learner(2, replace(PLAIN, critic_lr=1e30, epochs=1))
+    (critic,) = learner.critic_learners
+    critic.optimizer.state[critic.network.value.bias]["exp_avg"].fill_(1e15)
+    with pytest.raises(Diverged, match=r"not finite: critic\.value\.bias$"):
+        learner.update(experience(learner, seed=4))
+
+
+def test_a_resting_team_keeps_its_policy_while_its_critic_follows(experience, same):
+    config = replace(FULL, minibatches=1, fixed_order=True)
+    resting, playing = (new_learner(2, config) for _ in range(2))
+    batch = experience(resting, seed=4, void=0.2)
+    before = resting.state()
+    figures = resting.update_critic_only(batch)
+    assert figures.keys() == {"value_loss", "critic_grad_norm", "explained_variance"}
+    assert figures["value_loss"] == pytest.approx(playing.update(batch)["value_loss"], rel=1e-4)
+
+    after = resting.state()
+    policy = [name for name in after if "actor." in name or "observation_" in name]
+    assert same([before[name] for name in policy], [after[name] for name in policy])
+    assert worst_gap(critic_of(resting), critic_of(playing)) < 1e-5
+    assert worst_gap(critic_of(new_learner(2, config)), critic_of(resting)) > 1e-2
+    for name, seen in resting.critic_learners[0].value_norm.state_dict().items():
+        assert seen != 0
+        torch.testing.assert_close(seen, playing.critic_learners[0].value_norm.state_dict()[name])
+
+
+def test_figures_are_those_of_the_textbooks(experience):
+    still = replace(PLAIN, lr=1e-12, critic_lr=1e-12, epochs=1)
+    learner = new_learner(1, still)
+    batch = experience(learner, seed=4)
+    figures = learner.update(batch)
+    obs, actions, old = (x[0].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs))
+    log_probs, entropy = log_density(learner.actors[0], obs, actions)
+    r = (log_probs - old).exp()
+    values = critic_of(learner)(obs).detach()
+    expected = {
+        "ratio": r.mean(),
+        "kl": (r - 1 - r.log()).mean(),
+        "entropy": entropy,
+        "explained_variance": 1 - (batch.rewards.flatten() - values).var() / batch.rewards.var(),
+    }
+    for name, value in expected.items():
+        assert figures[name] == pytest.approx(value.item(), rel=1e-4), name
+    norm = math.sqrt(sum(float((p.grad**2).sum()) for p in learner.actors[0].parameters()))  # scaled down by then
+    assert norm == pytest.approx(PLAIN.max_grad_norm, rel=1e-3)
+    assert figures["actor_grad_norm"] > 1.1 * PLAIN.max_grad_norm
+    assert figures["critic_grad_norm"] > 1.1 * PLAIN.max_grad_norm
 
 
 @pytest.mark.parametrize("updates", [0, 2])
@@ -230,6 +389,7 @@ def test_a_state_is_a_copy(experience):
         (lambda s: s.pop("critic.value.weight"), r"critic\.value\.weight \(1 in all\)"),
         (lambda s: s.pop("rng"), r"rng \(1 in all\)"),
         (lambda s: s.update({"actor.1.activation": np.int32(2)}), r"actor\.1\.activation \(1 in all\)"),
+        (lambda s: s["critic.value.weight"].fill(np.nan), r"not finite in critic\.value\.weight \(1 in all\)"),
         (
             lambda s: s.update(new_learner(2, replace(PLAIN, architecture=Architecture((6,)))).state()),
             "hidden.0.weight",

@@ -7,15 +7,16 @@ import pytest
 import torch
 
 from agents.bridge import to_jax
-from agents.networks import ACTIVATIONS, Actor, Architecture
-from agents.policy import distribution, learned, sample, scripted, stack
+from agents.networks import Actor
+from agents.policy import Crew, act, crew, distribution, learned, sample
+from agents.settings import ACTIVATIONS, Architecture
 
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 def test_jax_and_torch_agree_for_every_stacked_policy(activation, layer_norm, scramble):
     actors = [scramble(seed, Architecture((9, 7), activation, layer_norm)) for seed in range(3)]
-    params = stack(to_jax([actor.state_dict() for actor in actors]))
+    (params,) = crew(to_jax([actor.state_dict() for actor in actors])).parts
     observations = jax.random.normal(jax.random.key(0), (3, 11, 20))
     mean, std = jax.vmap(distribution)(params, observations)
     actions, log_probs = jax.vmap(sample)(params, observations, jax.random.split(jax.random.key(1), (3, 11)))
@@ -35,7 +36,6 @@ def test_every_name_and_number_crosses_both_ways(layer_norm, scramble):
     architecture = Architecture((9, 7), "elu", layer_norm)
     state = scramble(0, architecture).state_dict()
     (policy,) = to_jax([state])
-    assert int(policy.pop("script")) == 0
     back = Actor(20, 2, architecture, initial_std=0.1)
     back.load_state_dict({name: torch.tensor(np.asarray(array)) for name, array in policy.items()}, strict=True)
     assert all(torch.equal(tensor, state[name]) for name, tensor in back.state_dict().items())
@@ -81,17 +81,174 @@ def test_equal_keys_give_equal_actions(scramble):
     assert not np.array_equal(actions[0], actions[1])
 
 
-@pytest.mark.parametrize("other", [Architecture((8, 8)), Architecture((9,)), Architecture((8,), layer_norm=True)])
-def test_policies_of_different_shapes_cannot_be_stacked(other, scramble):
-    policies = [learned(scramble(0, a).state_dict()) for a in (Architecture((8,)), other)]
-    with pytest.raises(ValueError, match="different network shapes"):
-        stack([policies[0], scripted(1), policies[1]])
+def test_a_feature_that_never_moved_does_not_explode_when_it_does():
+    with torch.random.fork_rng(devices=[]):
+        actor = Actor(3, 2, Architecture((8,)), initial_std=0.3)
+    actor.trunk.observation_mean.fill_(5.0)
+    actor.trunk.observation_var.zero_()
+    actor.trunk.observation_clip.fill_(10.0)
+    (policy,) = to_jax([actor.state_dict()])
+
+    def means(x: float) -> tuple[np.ndarray, np.ndarray]:
+        with torch.no_grad():
+            return np.asarray(distribution(policy, jnp.full((1, 3), x))[0]), actor(torch.full((1, 3), x)).mean.numpy()
+
+    for value in (means(5.2), means(1e6), means(5.0 + 0.1)):  # 20, 1e8 and 10 deviations of at least 0.01
+        np.testing.assert_allclose(value[0], value[1], atol=1e-6)
+        np.testing.assert_allclose(value[0], means(5.1)[0], atol=1e-6)
+    assert np.abs(means(5.01)[0] - means(5.1)[0]).max() > 1e-3
 
 
-def test_scripts_take_the_shapes_of_their_learned_peers(scramble):
-    policy = learned(scramble(0, Architecture((8,))).state_dict())
-    stacked = stack([scripted(2), policy, scripted(0)])
-    assert stacked["script"].tolist() == [3, 0, 1]
-    assert {name: array.shape[1:] for name, array in stacked.items()} == {k: v.shape for k, v in policy.items()}
-    np.testing.assert_array_equal(stacked["mean.weight"][1], policy["mean.weight"])
-    assert stack([scripted(2), scripted(1)])["script"].tolist() == [3, 2]
+# Whoever sits in a crew of these acts as it would alone: two networks of one shape, two of others, two scripts.
+SHAPES = {
+    "a": Architecture((8,)),
+    "b": Architecture((8,)),
+    "wide": Architecture((24, 8)),
+    "norm": Architecture((8,), layer_norm=True),
+}
+SCRIPTS = (lambda observation, key: observation[:2], lambda observation, key: jax.random.uniform(key, (2,)))
+WORLDS = 5  # in a group
+
+
+@pytest.fixture(scope="module")
+def member(scramble):
+    actors = {name: learned(scramble(i, shape).state_dict()) for i, (name, shape) in enumerate(SHAPES.items())}
+    return lambda who: who if isinstance(who, int) else actors[who]
+
+
+def play(members: Crew, groups: int) -> tuple[np.ndarray, np.ndarray, jax.Array, jax.Array]:
+    """Actions (K, n, act), densities (K, n), and the observations and keys that led to them."""
+    observations = jax.random.normal(jax.random.key(4), (groups * WORLDS, 20))
+    keys = jax.random.split(jax.random.key(5), groups * WORLDS)
+    actions, log_probs = jax.jit(act, static_argnums=3)(members, observations, keys, SCRIPTS)
+    shaped = (x.reshape(groups, WORLDS, *x.shape[1:]) for x in (observations, keys))
+    return np.asarray(actions).reshape(groups, WORLDS, 2), np.asarray(log_probs).reshape(groups, WORLDS), *shaped
+
+
+@pytest.mark.parametrize("who", [["a"], ["a", "b", "a"], ["wide", "a", 1, "norm", 0, "b"], [1, "wide"], [0, 1]])
+def test_policies_of_all_shapes_and_scripts_act_in_one_crew(who, member):
+    actions, log_probs, observations, keys = play(crew([member(name) for name in who]), len(who))
+    for k, name in enumerate(who):
+        if isinstance(name, int):
+            expected = jax.vmap(SCRIPTS[name])(observations[k], keys[k]), np.zeros(WORLDS)
+        else:
+            expected = sample(member(name), observations[k], keys[k])
+        np.testing.assert_allclose(actions[k], expected[0], rtol=1e-5, atol=1e-5, err_msg=str(name))
+        np.testing.assert_allclose(log_probs[k], expected[1], rtol=1e-4, atol=1e-4, err_msg=str(name))
+
+
+def test_a_crew_pays_only_for_what_sits_in_it(member):
+    alone = crew([member("a"), member("b")])
+    assert len(alone.parts) == 1
+    assert alone.script is None
+    assert len(crew([member("a"), member("wide"), 1]).parts) == 2
+
+
+def test_who_sits_where_never_changes_the_shapes_that_were_compiled(member):
+    def shapes(members: Crew):
+        return jax.tree.structure(members), [(x.shape, x.dtype) for x in jax.tree.leaves(members)]
+
+    full = shapes(crew([member("a"), member("wide"), 1]))
+    also = [member("wide"), member("b"), 0]
+    assert shapes(crew([0, member("wide"), member("b")])) == full
+    assert shapes(crew([member("a"), member("b"), member("a")], also)) == full
+    assert shapes(crew([1, 1, 0], also)) == full
+    assert shapes(crew([member("a"), member("b"), member("a")])) != full
+
+
+def test_a_script_is_computed_only_in_the_groups_where_it_sits(member):
+    asked = []
+
+    def script(observation, key):
+        jax.debug.callback(lambda x: asked.append(float(x)), observation[0])
+        return observation[:2]
+
+    observations = jnp.repeat(jnp.arange(4.0), WORLDS)[:, None] * jnp.ones(20)
+    keys = jax.random.split(jax.random.key(0), 4 * WORLDS)
+    jax.block_until_ready(act(crew([member("a"), 0, member("b"), 0]), observations, keys, (script,)))
+    jax.effects_barrier()
+    assert sorted(asked) == [1.0] * WORLDS + [3.0] * WORLDS
+
+
+# Squashed actions, deviations that depend on the state ----------------------------------------------------------------
+
+KINDS = {
+    "squashed": Architecture((9, 7), squash=1.0),
+    "squashed to 2.5": Architecture((9, 7), "relu", squash=2.5),
+    "state_std": Architecture((9, 7), "elu", layer_norm=True, state_std=True),
+    "both": Architecture((9, 7), squash=0.7, state_std=True),
+}
+
+
+@pytest.mark.parametrize("architecture", KINDS.values(), ids=KINDS)
+def test_jax_and_torch_agree_on_policies_of_every_kind(architecture, scramble):
+    actors = [scramble(seed, architecture) for seed in range(3)]
+    (params,) = crew(to_jax([actor.state_dict() for actor in actors])).parts
+    observations = jax.random.normal(jax.random.key(0), (3, 400, 20))
+    mean, std = jax.vmap(distribution)(params, observations)
+    actions, log_probs = jax.vmap(sample)(params, observations, jax.random.split(jax.random.key(1), (3, 400)))
+    for k, actor in enumerate(actors):
+        seen, done = (torch.tensor(np.asarray(x[k])) for x in (observations, actions))
+        with torch.no_grad():
+            gaussian, densities = actor.gaussian(seen), actor(seen).log_prob(done).sum(-1)
+        np.testing.assert_allclose(mean[k], gaussian.mean, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(np.broadcast_to(std[k], mean[k].shape), gaussian.stddev, rtol=1e-5)
+        np.testing.assert_allclose(log_probs[k], densities, rtol=1e-5, atol=1e-5)
+    if architecture.squash:
+        assert 0.9 * architecture.squash < float(jnp.abs(actions).max()) <= architecture.squash
+    if architecture.state_std:
+        assert float(jnp.std(std[0], axis=0).min()) > 0.01
+
+
+def test_densities_agree_even_where_actions_are_pressed_against_their_limit(scramble):
+    actor = scramble(0, Architecture((8,), squash=1.0))
+    with torch.no_grad():
+        actor.mean.bias.copy_(torch.tensor([5.0, 40.0]))  # tanh rounds to 1 from 9 on
+    (policy,) = to_jax([actor.state_dict()])
+    observations = jax.random.normal(jax.random.key(0), (500, 20))
+    actions, log_probs = sample(policy, observations, jax.random.split(jax.random.key(1), 500))
+    with torch.no_grad():
+        densities = actor(torch.tensor(np.asarray(observations))).log_prob(torch.tensor(np.asarray(actions))).sum(-1)
+    assert np.isfinite(np.asarray(log_probs)).all()
+    np.testing.assert_allclose(log_probs, densities, rtol=1e-5)
+    assert float(actions[:, 1].max()) < 1.0
+
+
+def test_a_squashed_density_is_a_density_and_its_entropy_is_right():
+    for limit, mean, std in ((1.0, 0.3, 0.8), (2.0, -1.5, 0.4), (0.5, 0.1, 1.0)):
+        with torch.random.fork_rng(devices=[]):
+            actor = Actor(1, 1, Architecture((2,), squash=limit), initial_std=std).double()
+        with torch.no_grad():
+            actor.mean.bias.fill_(mean)
+            policy = actor(torch.zeros(1, dtype=torch.float64))
+        edges = limit * torch.tanh(torch.linspace(-12, 12, 400_001).double())
+        middle, width = (edges[1:] + edges[:-1]) / 2, edges.diff()
+        log_prob = policy.log_prob(middle)
+        density = log_prob.exp()
+        assert float((density * width).sum()) == pytest.approx(1.0, abs=1e-4)
+        assert float(policy.entropy()) == pytest.approx(-float((density * log_prob * width).sum()), abs=0.01)
+
+
+def test_squashed_and_plain_policies_act_in_one_crew_each_as_its_own_kind(scramble):
+    kinds = {name: Architecture((8,), squash=s, state_std=d) for name, s, d in (
+        ("plain", None, False), ("squashed", 2.0, False), ("state", None, True), ("wider", 4.0, False)
+    )}  # fmt: skip
+    policies = {name: learned(scramble(i, kind).state_dict()) for i, (name, kind) in enumerate(kinds.items())}
+    who = ["squashed", "plain", "state", "squashed", "wider"]
+    members = crew([policies[name] for name in who])
+    assert len(members.parts) == 3  # the limit is a number, and no kind of its own
+    actions, log_probs, observations, keys = play(members, len(who))
+    for k, name in enumerate(who):
+        expected = sample(policies[name], observations[k], keys[k])
+        np.testing.assert_allclose(actions[k], expected[0], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(log_probs[k], expected[1], rtol=1e-4, atol=1e-4)
+    assert np.abs(actions[[0, 3]]).max() <= 2.0
+
+
+@pytest.mark.parametrize("architecture", [Architecture((8,), squash=2.0), Architecture((8,), state_std=True)])
+def test_a_fresh_policy_of_another_kind_begins_as_wide_as_a_plain_one(architecture):
+    with torch.random.fork_rng(devices=[]):
+        actor = Actor(20, 2, architecture, initial_std=0.3)
+    mean, std = distribution(*to_jax([actor.state_dict()]), jax.random.normal(jax.random.key(0), (256, 20)))
+    np.testing.assert_allclose(std, np.broadcast_to(0.3, std.shape), rtol=0.03)
+    assert float(jnp.abs(mean).max()) < 0.1

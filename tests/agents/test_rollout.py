@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from agents.happo import HappoConfig, Learner
-from agents.networks import Actor, Architecture
-from agents.policy import learned, scripted, stack
-from agents.rollout import Games, Trajectory, make_play, make_reset, make_rollout
+from agents.happo import Learner
+from agents.networks import Actor
+from agents.policy import crew, learned
+from agents.rollout import Games, Trajectory, make_play, make_reset, scripts_of
+from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
 
 EACH = 6  # worlds in a group
@@ -21,23 +22,25 @@ ARCHITECTURE = Architecture((8,), "elu")
 @pytest.fixture(scope="module")
 def actors(scramble) -> dict[str, Actor]:
     fresh = Learner([20], [2], HappoConfig(ARCHITECTURE), seed=3).actors[0]
-    return {"a": scramble(0, ARCHITECTURE), "b": scramble(1, ARCHITECTURE), "fresh": fresh}
+    wide = scramble(2, Architecture((24, 5), layer_norm=True))
+    return {"a": scramble(0, ARCHITECTURE), "b": scramble(1, ARCHITECTURE), "wide": wide, "fresh": fresh}
 
 
 @pytest.fixture(scope="module")
-def policy(short_sumo: Arena, actors) -> Callable[[str], dict]:
-    scripts = list(short_sumo.scripts())
-    return lambda who: scripted(scripts.index(who)) if who in scripts else learned(actors[who].state_dict())
+def policy(short_sumo: Arena, actors) -> Callable[[str], dict | int]:
+    scripts = list(scripts_of(short_sumo, "leatherback"))
+    return lambda who: scripts.index(who) if who in scripts else learned(actors[who].state_dict())
 
 
-SEATS = {"blue/0": ["a", "idle", "random", "b", "random"], "red/0": ["pusher", "a", "b", "centre-holder", "random"]}
+SEATS = {"blue/0": ["a", "idle", "random", "b", "random"], "red/0": ["pusher", "a", "wide", "centre-holder", "random"]}
 
 
 @pytest.fixture(scope="module")
-def trajectory(short_sumo: Arena, policy) -> Trajectory:
+def trajectory(short_sumo: Arena, short_rollout, policy) -> Trajectory:
     worlds = make_reset(short_sumo)(jax.random.split(jax.random.key(0), 5 * EACH))
-    policies = {agent: stack([policy(who) for who in seats]) for agent, seats in SEATS.items()}
-    _, trajectory = make_rollout(short_sumo, 45)(policies, worlds, jax.random.key(1))
+    also = [policy("wide")]  # blue has no such policy: with a place for it both are shaped alike
+    crews = {agent: crew([policy(who) for who in seats], also) for agent, seats in SEATS.items()}
+    _, trajectory = short_rollout(crews, worlds, jax.random.key(1))
     return jax.device_get(trajectory)
 
 
@@ -58,13 +61,13 @@ def test_next_observations_are_the_following_ones_until_an_episode_ends(trajecto
         following, present = trajectory.next_observations[agent][:-1], trajectory.observations[agent][1:]
         np.testing.assert_array_equal(following[~over], present[~over])
         assert (np.abs(following[over] - present[over]).max(axis=-1) > 0.1).all()
-        assert (present[over][:, 7] == 0.0).all()  # a new episode's share of time
-        assert (present[over][:, 9:11] == 0.0).all()  # and no last action
+        assert (present[over][:, 9] == 0.0).all()  # a new episode's share of time
+        assert (present[over][:, :2] == 0.0).all()  # and no last action
 
 
 def test_observations_hold_the_action_that_was_taken(trajectory):
     for agent in SEATS:
-        np.testing.assert_array_equal(trajectory.next_observations[agent][..., 9:11], trajectory.actions[agent])
+        np.testing.assert_array_equal(trajectory.next_observations[agent][..., :2], trajectory.actions[agent])
 
 
 def test_decided_games_are_zero_sum_and_pay_what_the_score_says(trajectory):
@@ -77,10 +80,10 @@ def test_decided_games_are_zero_sum_and_pay_what_the_score_says(trajectory):
 
 
 def test_log_densities_are_what_torch_computes_from_the_same_weights(trajectory, actors):
-    for who in "ab":
+    for who, groups in {"a": 2, "b": 1, "wide": 1}.items():
         actor = actors[who]
         found = list(acting(trajectory, who))
-        assert len(found) == 2  # in one group of each team
+        assert len(found) == groups
         for observations, actions, log_probs in found:
             with torch.no_grad():
                 theirs = actor(torch.tensor(observations)).log_prob(torch.tensor(actions)).sum(-1)
@@ -92,7 +95,7 @@ def test_scripts_act_by_themselves_beside_learned_policies(trajectory, short_sum
         observations, actions, log_probs = next(acting(trajectory, who))
         assert (log_probs == 0.0).all()
         if who != "random":
-            script = jax.vmap(jax.vmap(short_sumo.scripts()[who], (0, None)), (0, None))
+            script = jax.vmap(jax.vmap(scripts_of(short_sumo, "leatherback")[who], (0, None)), (0, None))
             expected = script(jnp.asarray(observations), jax.random.key(0))
             np.testing.assert_allclose(actions, expected, atol=1e-5)
     assert np.abs(actions).max() <= 1.0  # random: uniform over the whole range, and never twice the same
@@ -118,13 +121,13 @@ def keys() -> jax.Array:
 @pytest.fixture(scope="module")
 def play(short_sumo: Arena) -> Callable[..., Games]:
     compiled = make_play(short_sumo, RECORDED)
-    return lambda policies, keys: jax.device_get(compiled(policies, keys))
+    return lambda crews, keys: jax.device_get(compiled(crews, keys))
 
 
 @pytest.fixture(scope="module")
 def games(play, policy, keys) -> Games:
     """The same two policies meet from the same keys in both groups."""
-    return play({"blue/0": stack([policy("fresh")] * 2), "red/0": stack([policy("pusher")] * 2)}, keys)
+    return play({"blue/0": crew([policy("fresh")] * 2), "red/0": crew([policy("pusher")] * 2)}, keys)
 
 
 def test_equal_keys_and_policies_give_equal_games(games):
@@ -136,7 +139,7 @@ def test_equal_keys_and_policies_give_equal_games(games):
 
 def test_swapping_sides_changes_who_plays_and_not_the_start(play, policy, keys, games):
     swapped = play(
-        {"blue/0": stack([policy("fresh"), policy("pusher")]), "red/0": stack([policy("pusher"), policy("fresh")])},
+        {"blue/0": crew([policy("fresh"), policy("pusher")]), "red/0": crew([policy("pusher"), policy("fresh")])},
         keys,
     )
     np.testing.assert_array_equal(swapped.score[:SEEDS], games.score[:SEEDS])
@@ -156,6 +159,16 @@ def test_every_world_plays_one_episode_and_stops(games, short_sumo):
         np.testing.assert_array_equal(games.reward[length - 1, r], 2 * games.score[world] - 1)
     assert (games.score.sum(axis=1) == 1.0).all()
     assert not games.void.any()
+    assert games.culprits.shape == games.score.shape
+    assert not games.culprits.any()
+
+
+def test_frames_hold_the_terms_that_the_rewards_are_made_of(games):
+    terms = sum(term.sum(axis=1) for term in games.frames.rewards.values())  # over the control steps of a decision
+    np.testing.assert_allclose(terms, games.reward, atol=1e-6)
+    lost = games.frames.events["out"].any(axis=(0, 1))  # (R, teams)
+    for r, world in enumerate(RECORDED):
+        np.testing.assert_array_equal(lost[r], games.score[world] == 0.0)
 
 
 def test_frames_are_those_of_the_recorded_worlds(games, keys, short_sumo):
@@ -178,7 +191,7 @@ def test_frames_are_those_of_the_recorded_worlds(games, keys, short_sumo):
 
 def test_recorded_actions_are_the_recorded_worlds_own(games, policy, keys, short_sumo, play):
     alone = make_play(short_sumo, (0,))(
-        {"blue/0": stack([policy("fresh")]), "red/0": stack([policy("pusher")])}, keys[jnp.array([RECORDED[1]])]
+        {"blue/0": crew([policy("fresh")]), "red/0": crew([policy("pusher")])}, keys[jnp.array([RECORDED[1]])]
     )
     length = games.decisions[RECORDED[1]]
     for agent in SEATS:

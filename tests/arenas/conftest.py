@@ -10,8 +10,8 @@ from jax import Array
 
 import arenas
 from arenas.arena import State
-from arenas.engines import Physics
-from arenas.sumo import Sumo
+from arenas.physics import Physics
+from arenas.sumo.match import Sumo
 
 
 class Worlds:
@@ -33,7 +33,8 @@ class Worlds:
     def play(self, blue: str, red: str, worlds: int, seed: int = 0) -> State:
         """The state after each decision (T, worlds, ...) of whole episodes between two scripts."""
         arena, scripts = self.arena, self.arena.scripts()
-        acting = {a.name: scripts[s] for team, s in zip(arena.teams, (blue, red), strict=True) for a in team.agents}
+        sides = zip(arena.teams, (blue, red), strict=True)
+        acting = {a.name: scripts[s][a.kind] for team, s in sides for a in team.agents}
 
         def decision(state: State, key: Array) -> tuple[State, State]:
             actions = {
@@ -53,6 +54,11 @@ class Worlds:
 
 
 @pytest.fixture(scope="session")
+def worlds() -> type[Worlds]:
+    return Worlds
+
+
+@pytest.fixture(scope="session")
 def duel() -> Worlds:
     return Worlds(arenas.load("sumo-1v1", engine="c"))
 
@@ -63,21 +69,27 @@ def brawl() -> Worlds:
 
 
 @pytest.fixture(scope="session")
+def by_team() -> Worlds:
+    return Worlds(arenas.load("sumo-by-team", engine="c"))
+
+
+@pytest.fixture(scope="session")
 def stand() -> Callable[..., Physics]:
-    """Rovers put down by hand: `stand(arena, [(x, y, heading), ...], time=0.0, flipped=(), velocity={})`."""
+    """Robots put down by hand: `stand(arena, [(x, y, heading), ...], time=0.0, flipped=(), velocity={}, height={})`."""
 
     def stand(
         arena: Sumo, poses: Sequence[tuple[float, float, float]], time: float = 0.0, flipped: Sequence[int] = (),
-        velocity: dict[int, tuple[float, float, float]] | None = None,
+        velocity: dict[int, tuple[float, float, float]] | None = None, height: dict[int, float] | None = None,
     ) -> Physics:  # fmt: skip
-        """`velocity` is (x, y in the world, yaw rate) by robot; a `flipped` robot lies on its back."""
+        """Per robot: `velocity` (world x, y, yaw rate), `height` if not at rest; `flipped` ones lie upside down."""
         model = arena.scene.model
-        qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+        qpos, qvel = arena.scene.rest.copy(), np.zeros(model.nv)
         for i, (agent, (x, y, heading)) in enumerate(zip(arena.agents, poses, strict=True)):
             at = arena.scene.agents[agent.name]
             half = heading / 2
             upright, on_back = [np.cos(half), 0, 0, np.sin(half)], [0, np.cos(half), np.sin(half), 0]
-            qpos[at.qpos : at.qpos + 7] = [x, y, 0.052, *(on_back if i in flipped else upright)]
+            z = (height or {}).get(i, arena.robots[agent.name].rest_height)
+            qpos[at.qpos : at.qpos + 7] = [x, y, z, *(on_back if i in flipped else upright)]
             vx, vy, yaw_rate = (velocity or {}).get(i, (0, 0, 0))
             qvel[at.qvel : at.qvel + 6] = [vx, vy, 0, 0, 0, yaw_rate]
         numbers = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(model.nu), time))

@@ -2,37 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import ClassVar, Unpack
+from typing import Unpack
 
 import jax
 import jax.numpy as jnp
-import mujoco
 from jax import Array
 
-from arenas.arena import Arena, Script, Timing, Verdict, Where
-from arenas.engines import Physics
-from arenas.robots.robot import Robot
-
-RADIUS, MASS = 0.1, 1.0  # m, kg
-THRUST, DRAG = 4.0, 2.0  # N, N·s/m: at most 2 m/s
-
-
-def _build(colour: tuple[float, float, float, float]) -> mujoco.MjSpec:
-    """A ball without friction: it glides, so that its thrusters along x and y stay in line with the world."""
-    spec = mujoco.MjSpec()
-    body = spec.worldbody.add_body(name="puck", pos=[0, 0, RADIUS])
-    body.add_joint(name="base", type=mujoco.mjtJoint.mjJNT_FREE, damping=DRAG)
-    body.add_geom(name="puck", size=[RADIUS, 0, 0], mass=MASS, condim=1, priority=1, rgba=colour)
-    body.add_site(name="hub")
-    for name, gear in (("east", [THRUST, 0, 0, 0, 0, 0]), ("north", [0, THRUST, 0, 0, 0, 0])):
-        spec.add_actuator(name=name, target="hub", trntype=mujoco.mjtTrn.mjTRN_SITE, gear=gear)
-    return spec
-
-
-PUCK = Robot(
-    kind="puck", base="puck", joints=(), actuators=("east", "north"), action_size=2, rest_height=RADIUS,
-    build=_build, command=lambda action: jnp.clip(action, -1.0, 1.0),
-)  # fmt: skip
+from arenas.arena import Arena
+from arenas.options import Timing, Where
+from arenas.physics import Physics
+from arenas.robots.puck import PUCK, RADIUS
+from arenas.robots.robot import Script
+from arenas.state import Verdict
 
 
 @dataclass(frozen=True)
@@ -62,12 +43,13 @@ class RaceSettings:
 class Race(Arena):
     """One puck each. The game's own state is where the flag stands, (2,) in metres."""
 
-    marker_kinds: ClassVar[Mapping[str, str]] = {"flag": "circle"}
-
     def __init__(self, settings: RaceSettings, **where: Unpack[Where]):
+        timing = Timing(timestep=0.01, substeps=2, hold=5, episode=settings.rules.episode)
+        super().__init__(
+            settings.name, {"blue": (PUCK,), "red": (PUCK,)}, timing, asdict(settings.rules),
+            marker_kinds={"flag": "circle"}, **where,
+        )  # fmt: skip
         self.rules = settings.rules
-        timing = Timing(timestep=0.01, substeps=2, hold=5, episode=self.rules.episode)
-        super().__init__(settings.name, {"blue": (PUCK,), "red": (PUCK,)}, timing, asdict(self.rules), **where)
 
     def observation_size(self, agent: str) -> int:
         """Own velocity, the way to the flag, the way to the other puck: two numbers each."""
@@ -87,7 +69,7 @@ class Race(Arena):
         """For each puck, see `observation_size`; all in the world frame."""
         xy, velocity = physics.qpos.reshape(2, 7)[:, :2], physics.qvel.reshape(2, 6)[:, :2]
         seen = jnp.concatenate([velocity, game - xy, xy[::-1] - xy], axis=1)  # (pucks, 6)
-        return {agent.name: seen[i] for i, agent in enumerate(self.agents)}
+        return {name: seen[i] for i, name in enumerate(self.robots)}
 
     def judge(self, before: Physics, physics: Physics, game: Array) -> tuple[Array, Verdict]:
         """First come, first served; both at once, or none in time, is a draw."""
@@ -95,15 +77,22 @@ class Race(Arena):
         arrived = now < self.rules.reach
         late = physics.time > self.rules.episode - self.timing.control_interval / 2
         lead = arrived * 1.0 - arrived[::-1] * 1.0  # (teams,)
-        return game, Verdict(lead, was - now, (1.0 + lead) / 2, arrived.any() | late, jnp.zeros((), bool))
+        return game, Verdict(
+            rewards={"lead": lead},
+            shapings={"approach": was - now},
+            score=(1.0 + lead) / 2,
+            terminated=arrived.any() | late,
+            truncated=jnp.zeros((), bool),
+            events={"arrival": arrived},
+        )
 
     def markers(self, physics: Physics, game: Array) -> dict[str, Array]:
         """The flag, as wide as its reach."""
         return {"flag": jnp.append(game, self.rules.reach)}
 
-    def scripts(self) -> dict[str, Script]:
+    def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Full thrust along the way to the flag."""
-        return {"sprinter": lambda observation, key: 10.0 * observation[2:4]}
+        return {"sprinter": {"puck": lambda observation, key: 10.0 * observation[2:4]}}
 
 
 def _distances(physics: Physics, flag: Array) -> Array:

@@ -3,36 +3,64 @@
 import itertools
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from race import Race, RaceRules, RaceSettings
+from solo import SoloSettings
 
 import arenas
-from arenas.check import PROMISES, WORLDS, check_arena
-from arenas.trial import Trial
+from arenas.check import BASIS, FOUND, HOOKS, check_arena, examine
+from arenas.errors import ArenaError, EngineError
+from arenas.hooks import hooks
+from arenas.options import Timing
+from arenas.promises import PROMISES
+from arenas.robots.puck import PUCK
+from arenas.trial import WORLDS, Trial
 
 RACE = RaceSettings(rules=RaceRules(episode=1.0))
 
 
-def broken(name, engine):
-    settings = arenas.settings(name)
+def broken(settings, engine):
     arena = settings.build(engine=engine, worlds=WORLDS)
-    assert arena.engine.name == engine
+    assert arena.engine.name in (engine, "none")
     return [promise for promise in check_arena(arena, settings) if not promise.ok]
 
 
-@pytest.mark.parametrize("name", arenas.names())
+SAME_GAME = {
+    "sumo-2v2-anymal", "sumo-2v2-leatherback", "sumo-1v1-anymal", "sumo-1v1-leatherback", "block-push-anymal",
+    "galaga-1v1", "galaga-aim-2v2", "galaga-fly-2v2",
+    "soccer-walk", "soccer-ball", "soccer-score", "soccer-2v2", "soccer-2v2-leatherback",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(set(arenas.names()) - SAME_GAME))
 def test_arenas_keep_the_contract(name):
-    assert broken(name, "c") == []
+    """With matches of two seconds at most, for an episode of random play takes longest; whole ones are slow."""
+    settings = arenas.settings(name)
+    if hasattr(settings.rules, "episode"):
+        settings = replace(settings, rules=replace(settings.rules, episode=min(2.0, settings.rules.episode)))
+    assert broken(settings, "c") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", arenas.names())
+def test_arenas_keep_the_contract_over_whole_episodes(name):
+    assert broken(arenas.settings(name), "c") == []
+
+
+def test_an_arena_of_one_team_keeps_the_contract():
+    assert broken(SoloSettings(), "c") == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["jax", "warp"])
-def test_arenas_keep_the_contract_on_accelerators(engine):
-    assert broken("sumo-1v1", engine) == []
+@pytest.mark.parametrize("settings", [arenas.settings("sumo-1v1"), RaceSettings(), SoloSettings()])
+def test_arenas_keep_the_contract_on_accelerators(settings, engine):
+    assert broken(settings, engine) == []
 
 
 class Unsized(Race):
@@ -52,10 +80,27 @@ class TwiceEnded(Race):
         return game, verdict._replace(truncated=verdict.terminated)
 
 
+class Doomed(Race):
+    """Red is out of the game from 0.45 s on, amid a decision."""
+
+    def alive(self, physics, game):
+        return jnp.stack([jnp.ones((), bool), physics.time < 0.45])
+
+
+class Haunted(Doomed):
+    def step_with_frames(self, state, actions):
+        return super().step_with_frames(state._replace(alive=jnp.ones_like(state.alive)), actions)
+
+
+class Halved(Race):
+    def alive(self, physics, game):
+        return jnp.ones(1, bool)
+
+
 class Infinite(Race):
     def judge(self, before, physics, game):
         game, verdict = super().judge(before, physics, game)
-        return game, verdict._replace(shaping=jnp.array([0.0, jnp.inf]))
+        return game, verdict._replace(shapings={"approach": jnp.array([0.0, jnp.inf])})
 
 
 class Generous(Race):
@@ -67,7 +112,7 @@ class Generous(Race):
 class Undecided(Race):
     def step_with_frames(self, state, actions):
         state, frames = super().step_with_frames(state, actions)
-        return state._replace(verdict=state.verdict._replace(reward=jnp.ones(2))), frames
+        return state._replace(verdict=state.verdict._replace(rewards={"lead": jnp.ones(2)})), frames
 
 
 class Haphazard(Race):
@@ -109,12 +154,73 @@ class Unshakeable(Race):
 
 
 class Misspoken(Race):
-    def scripts(self):
-        return {"shout": lambda observation, key: observation}
+    def game_scripts(self):
+        return {"shout": {"puck": lambda observation, key: observation}}
 
 
 class Unpainted(Race):
-    marker_kinds = {"flag": "square"}  # noqa: RUF012  (a wrong one)
+    def __init__(self, settings, **where):
+        super().__init__(settings, **where)
+        self.marker_kinds = {"flag": "square"}
+
+
+class Renamed(Race):
+    def __init__(self, settings, **where):
+        super().__init__(settings, **where)
+        blue, red = self.teams
+        self.teams = (replace(blue, agents=red.agents), replace(red, agents=blue.agents))
+
+
+class Blind(Race):
+    def observe(self, physics, game, actions):
+        seen = super().observe(physics, game, actions)
+        return {name: x.at[4].set(x[4] / (physics.time > 0.55)) for name, x in seen.items()}  # inf after half a second
+
+
+class Partial(Race):
+    def observe(self, physics, game, actions):
+        seen = super().observe(physics, game, actions)
+        return seen | {"red/0": seen["red/0"].at[2:4].multiply(1.01)}  # red thinks the flag further away
+
+
+class Stingy(Race):
+    def judge(self, before, physics, game):
+        game, verdict = super().judge(before, physics, game)
+        return game, verdict._replace(rewards={"lead": verdict.rewards["lead"][:1]})
+
+
+class Nameless(Race):
+    def judge(self, before, physics, game):
+        game, verdict = super().judge(before, physics, game)
+        return game, verdict._replace(events={"a/b": jnp.zeros(2, bool)})
+
+
+class Whole(Race):
+    def observe(self, physics, game, actions):
+        return {name: x.astype(int) for name, x in super().observe(physics, game, actions).items()}
+
+
+class Forgetful(Race):
+    def load(self, saved):
+        state = super().load(saved)
+        return state._replace(physics=state.physics._replace(time=jnp.zeros(())))
+
+
+class Trusting(Race):
+    def step_with_frames(self, state, actions):
+        return super().step_with_frames(state, {name: jnp.nan_to_num(a) for name, a in actions.items()})
+
+
+class Embellished(Race):
+    def step_with_frames(self, state, actions):
+        state, frames = super().step_with_frames(state, actions)
+        return state, frames._replace(shapings={"approach": frames.shapings["approach"] + 1.0})
+
+
+class Zeroed(Race):
+    def step_with_frames(self, state, actions):
+        state, frames = super().step_with_frames(state, actions)
+        return state, frames._replace(qpos=jnp.zeros_like(frames.qpos))
 
 
 class Ghostly(Race):
@@ -128,12 +234,25 @@ class Weighty(Race):
         return state._replace(actions={name: a.astype(jnp.float16) for name, a in state.actions.items()})
 
 
+# arena and what is said of its hooks
+MISSHAPEN = [
+    (Ghostly, r"observations are of \['blue/0', 'green/0', 'red/0'\], agents are"),
+    (Unsized, r"the observation of blue/0 is float32 \(6,\), not float32 \(7,\)"),
+    (Whole, r"the observation of blue/0 is int32 \(6,\), not float32 \(6,\)"),
+    (Stingy, r"reward lead is float32 \(1,\), not float32 \(2,\)"),
+    (Nameless, "event 'a/b' needs a name"),
+    (Unpainted, "kinds: circle"),
+    (Halved, r"alive gives bool \(1,\), not bool \(2,\)"),
+]
+
 # arena, how the promise that it breaks begins, what is said of it
 BROKEN = [
-    (Ghostly, "agents are named", "green/0"),
-    (Unsized, "observations have", r"blue/0 sees \(6,\) float32, not \(7,\)"),
+    (Renamed, "agents are named", r"agents \['red/0', 'blue/0'\]"),
+    (Blind, "observations are finite", "blue/0 sees numbers that are not finite, at index 4"),
+    (Partial, "equal teams in", "what (red|blue)/0 sees differs, by up to 0.0"),
     (Weighty, "reset and step give", "lax.scan"),
-    (Infinite, "rewards, shaping", "shaping has shape"),
+    (Haunted, "who is out of", r"actions\['red/0'\] differs, by NaN"),
+    (Infinite, "rewards, shapings", "approach is not finite"),
     (Endless, "an episode ends", "8 of 8 worlds go on after 10 decisions"),
     (TwiceEnded, "an end is", "two of them"),
     (Undecided, "a verdict once", "changes after the end"),
@@ -142,16 +261,51 @@ BROKEN = [
     (Gossiping, "worlds do not", "observations"),
     (Nostalgic, "a restarted world", "verdict"),
     (Sweeping, "a restart leaves", "physics.qpos differs, by up to"),
+    (Forgetful, "a saved world", "physics.time differs, by up to 0.1"),
     (Unshakeable, "unstable physics", r"make these void: \[\]"),
+    (Trusting, "wild actions", r"culprits are \[\], not \[\[0, 0\], \[1, 1\]\]"),
     (Misspoken, "scripts give", r"shout tells blue/0 \(6,\) numbers, not 2 finite ones"),
-    (Unpainted, "frames and markers", "kinds: circle"),
+    (Embellished, "frames are one", "approach differs, by up to 5"),
+    (Zeroed, "recorded frames", "qpos differs, by up to"),
 ]
+
+
+@pytest.mark.parametrize(("arena", "detail"), MISSHAPEN)
+def test_hooks_that_give_something_else_are_noticed_as_they_give_it(arena, detail):
+    assert re.search(detail, hooks(Trial(arena(RACE, engine="c"), jax.random.key(0))))
 
 
 @pytest.mark.parametrize(("arena", "promise", "detail"), BROKEN)
 def test_a_broken_promise_is_noticed(arena, promise, detail):
     (problem,) = (problem for name, problem in PROMISES.items() if name.startswith(promise))
-    assert re.search(detail, problem(Trial(arena(RACE, engine="c"), jax.random.key(0))))
+    trial = Trial(arena(RACE, engine="c"), jax.random.key(0))
+    assert not hooks(trial)
+    assert re.search(detail, problem(trial))
+
+
+def test_who_is_out_of_the_game_glides_on_and_sees_nothing():
+    arena = Doomed(RACE, engine="c")
+    assert [p for p in check_arena(arena, RACE) if not p.ok and "configuration" not in p.name] == []
+    step, state = jax.jit(jax.vmap(arena.step)), jax.vmap(arena.reset)(jax.random.split(jax.random.key(1), 2))
+    push = {name: jnp.ones((2, 2)) for name in ("blue/0", "red/0")}
+    alive, speed, seen = [], [], []
+    for _ in range(7):
+        state = step(state, push)
+        alive.append(state.alive[0].tolist())
+        speed.append(float(state.physics.qvel[0, 6]))
+        seen.append(bool(state.observations["red/0"].any()))
+    assert alive == [[True, True]] * 4 + [[True, False]] * 3
+    assert seen == [True] * 4 + [False] * 3
+    assert speed[3] > speed[2] > 0
+    # 0.06 s of the fifth decision with thrust, then drag alone: 2 kg/s on 1 kg.
+    np.testing.assert_allclose(speed[6] / speed[5], np.exp(-0.2), rtol=0.01)
+    assert not state.actions["red/0"].any()
+    assert state.actions["blue/0"].all()
+
+
+def test_a_game_cannot_replace_what_is_the_contracts_own():
+    with pytest.raises(ArenaError, match=r"Careful\._begin: every arena has something of this name: choose another"):
+        type("Careful", (Race,), {"_begin": lambda self: None})
 
 
 def test_every_promise_has_been_seen_broken():
@@ -177,6 +331,88 @@ class Stumbling(Race):
         raise IndexError("no such flag\nand more")
 
 
-def test_an_arena_that_does_not_run_breaks_one_promise():
+def test_an_arena_that_does_not_run_breaks_one_promise_told_with_the_line_of_its_file():
     (only,) = check_arena(Stumbling(RACE, engine="c"))
-    assert only == ("reset and step run under jit and vmap", False, "IndexError: no such flag")
+    line = next(i for i, text in enumerate(Path(__file__).read_text().splitlines(), 1) if "no such flag" in text)
+    assert only == (HOOKS, False, f"IndexError: no such flag (test_contract.py:{line})")
+
+
+class Late(Race):
+    def __init__(self, settings, **where):
+        super().__init__(settings, **where)
+        self.calls = itertools.count()
+
+    def place(self, key):
+        if next(self.calls) > 0:
+            raise SystemExit(3)
+        return super().place(key)
+
+
+def test_an_arena_that_exits_is_a_failed_check():
+    *_, last = check_arena(Late(RACE, engine="c"))
+    assert last[:2] == (BASIS, False)
+    assert re.fullmatch(r"it exits with 3 \(test_contract.py:\d+\)", last.detail)
+
+
+# a stranger's file, and what is said of it
+FILES = [
+    ("raise OSError('no disk')", r"OSError: no disk \(duel.py:1\)$"),
+    ("import sys\nsys.exit('bye')", r"it exits with bye \(duel.py:2\)$"),
+    ("def (:", r"SyntaxError: invalid syntax \(duel.py:1\)$"),
+    (
+        "{head}\nclass Duel(Arena):\n    pass\n{tail}",
+        r"TypeError: Can't instantiate abstract class Duel.*\(duel.py:\d+\)$",
+    ),
+    (
+        "{head}\nclass Duel:\n    def __init__(self, *a, **k):\n        1 / 0\n{tail}",
+        r"ZeroDivisionError: division by zero \(duel.py:7\)$",
+    ),
+]
+HEAD = """from dataclasses import dataclass
+from arenas.arena import Arena
+from arenas.options import Timing
+"""
+TAIL = """
+@dataclass(frozen=True)
+class Settings:
+    name: str = "duel"
+    def build(self, **where):
+        return Duel("duel", {}, Timing(), {}, **where)
+
+ARENAS = (Settings(),)
+"""
+
+
+@pytest.mark.parametrize(("text", "detail"), FILES)
+def test_a_file_that_raises_exits_or_is_abstract_is_a_failed_check(text, detail, tmp_path):
+    file = tmp_path / "duel.py"
+    file.write_text(text.replace("{head}", HEAD).replace("{tail}", TAIL))
+    (only,) = examine(f"{file}:duel", engine="c")
+    assert only[:2] == (FOUND, False)
+    assert re.match(detail, only.detail)
+
+
+def test_names_that_lead_nowhere_are_no_failed_checks():
+    with pytest.raises(ArenaError, match="unknown arena 'sumo-9v9'"):
+        examine("sumo-9v9")
+    with pytest.raises(EngineError, match="unknown engine 'physx'"):
+        examine("sumo-1v1", engine="physx")
+
+
+@pytest.mark.parametrize(
+    ("teams", "message"),
+    [
+        ({"bl/ue": (PUCK,), "red": (PUCK,)}, "^team name 'bl/ue': use a letter"),
+        ({"": (PUCK,)}, "^team name '': use a letter"),
+        ({"blue": ()}, "^team blue has no robots"),
+        ({}, "^an arena needs at least one team"),
+        ({"blue": (PUCK,), "red": (replace(PUCK, action_size=3),)}, r"^robots of kind puck have \[2, 3\] actions"),
+    ],
+)
+def test_rosters_that_cannot_be_are_refused(teams, message):
+    class Any(Race):
+        def __init__(self):
+            super(Race, self).__init__("any", teams, Timing(), {}, engine="c")
+
+    with pytest.raises(ArenaError, match=message):
+        Any()

@@ -54,6 +54,44 @@ def test_a_blown_up_world_is_void_and_stays_so_until_it_begins_anew(duel):
     np.testing.assert_allclose(again.observations["blue/0"][1], fresh.observations["blue/0"][1], atol=1e-6)
 
 
+def test_terms_are_summed_and_events_noted_over_the_control_steps(duel, stand):
+    """A rover leaves the ring in the middle of a decision: what follows in it counts for nothing."""
+    state = duel.reset(jax.random.key(3)[None])
+    rolling = stand(duel.arena, [(0.97, 0.0, 0.0), (0.0, 0.3, 0.0)], velocity={0: (1.0, 0.0, 0.0)})
+    placed = duel.place(state.physics, rolling.qpos[None], rolling.qvel[None], jnp.ones(1, bool))
+    state = state._replace(physics=placed, game=state.game._replace(radius=jnp.ones(1)))
+    after, frames = duel.step_with_frames(state, duel.idle(1))
+    out = np.asarray(frames.events["out"][0, :, 0])
+    assert out.sum() == 1  # in one control step, which ended the game
+    assert 0 < out.argmax() < 4
+    assert after.verdict.events["out"].tolist() == [[True, False]]
+    assert not after.verdict.events["fall"].any()
+    for name, terms in {**frames.rewards, **frames.shapings}.items():
+        whole = {**after.verdict.rewards, **after.verdict.shapings}[name]
+        np.testing.assert_allclose(terms.sum(axis=1), whole, atol=1e-6)
+        assert not np.asarray(terms)[0, out.argmax() + 1 :].any()
+    assert after.verdict.rewards["result"].tolist() == [[-1.0, 1.0]]
+    np.testing.assert_array_equal(after.verdict.reward, after.verdict.rewards["result"])
+    np.testing.assert_array_equal(after.verdict.shaping, after.verdict.shapings["dense"])
+    again = duel.step(after, duel.idle(1))
+    assert not again.verdict.events["out"].any()
+    assert not again.verdict.reward.any()
+
+
+def test_who_breaks_physics_is_told_where_it_can_be(duel):
+    state = duel.reset(jax.random.split(jax.random.key(4), 4))
+    speed = np.array(state.physics.qvel)
+    own = [duel.arena.scene.agents[name].own_qvel for name in ROVERS]
+    speed[1, own[0][0]] = speed[2, own[1][0]] = speed[3, own[0][0]] = speed[3, own[1][0]] = 3e4
+    placed = duel.place(state.physics, state.physics.qpos, jnp.asarray(speed), jnp.ones(4, bool))
+    after = duel.step(state._replace(physics=placed), duel.idle(4))
+    assert after.void.tolist() == [False, True, True, True]
+    # Where both have bad numbers nobody can tell who began.
+    assert after.culprits.tolist() == [[False, False], [True, False], [False, True], [False, False]]
+    begun = duel.restart(after, jax.random.split(jax.random.key(5), 4), after.void)
+    assert not begun.culprits.any()
+
+
 def test_what_was_decided_before_the_blow_up_stands(duel, stand):
     state = duel.reset(jax.random.key(3)[None])
     outside = stand(duel.arena, [(3.0, 0.0, 0.0), (0.0, 0.0, 0.0)])

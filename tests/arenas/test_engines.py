@@ -10,7 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from arenas.engines import DERIVED, DYNAMICS, KINEMATICS, EngineError, choose, make_engine
+from arenas.engines import choose, make_engine
+from arenas.errors import EngineError
+from arenas.physics import DERIVED, DYNAMICS, KINEMATICS, VARIABLE
 
 XML = """
 <mujoco>
@@ -27,11 +29,13 @@ XML = """
       </body>
     </body>
   </worldbody>
-  <actuator><motor joint="arm"/></actuator>
+  <actuator><general joint="arm" biastype="affine"/></actuator>
   <sensor><framelinvel objtype="body" objname="ball"/><gyro site="centre"/><accelerometer site="centre"/></sensor>
 </mujoco>
 """
 WORLDS, STEPS = 3, 100  # half a second
+# Every engine, and always the one that `auto` means on the device that there is.
+HERE = [name if name == choose("auto") else pytest.param(name, marks=pytest.mark.slow) for name in ("c", "jax", "warp")]
 # Largest gaps measured against C over that time, on MJX and on Warp: qpos 7e-7, qvel 8e-6, qacc 3e-4, sensors 9e-6.
 TOLERANCE = {"qpos": 1e-5, "qvel": 1e-4, "xpos": 1e-5, "xquat": 1e-5, "sensordata": 1e-4, "actuator_force": 1e-5}
 TOLERANCE["qacc"] = 3e-3
@@ -171,6 +175,116 @@ def test_bad_numbers_are_told_and_not_reset_in_silence(qvel, command, capfd, tmp
     assert np.isfinite(again.qacc).all()
     assert capfd.readouterr() == ("", "")
     assert not list(tmp_path.iterdir())  # no MUJOCO_LOG.TXT
+
+
+def varied(model):
+    """Every field that may vary, (WORLDS, ...): the model's own in world 0, ever further off in the next."""
+    fields = {name: np.stack([getattr(model, name)] * WORLDS) for name in VARIABLE}
+    steps = np.arange(WORLDS)
+    for values in fields.values():
+        values *= (1.0 + 0.25 * steps).reshape(-1, *[1] * (values.ndim - 1))
+    fields["dof_armature"][:, 6] += 0.01 * steps  # these are zero in the model
+    fields["jnt_stiffness"][:, 1] += 0.5 * steps
+    fields["actuator_biasprm"][:, 0, 2] -= 0.1 * steps
+    return {name: np.asarray(values, np.float32) for name, values in fields.items()}
+
+
+def moved(engine, fields):
+    """qpos (WORLDS, nq) after 50 substeps of worlds with model fields of their own."""
+
+    def run(qpos, qvel, own):
+        worlds = jax.vmap(engine.make)(qpos, qvel, own)
+        step = jax.vmap(lambda p: engine.step(p, 0.2 * jnp.ones(1), 1))
+        return jax.lax.fori_loop(0, 50, lambda _, p: step(p), worlds).qpos
+
+    return np.asarray(jax.jit(run)(*start(engine.model), fields))
+
+
+def by_hand(name, values):
+    """The same with plain MuJoCo and one field written into each world's model."""
+    rows = []
+    for world in range(WORLDS):
+        model = mujoco.MjModel.from_xml_string(XML)
+        getattr(model, name)[:] = values[world]
+        if name == "body_mass":
+            model.body_subtreemass[:] = [values[world].sum(), values[world].sum(), values[world][2]]
+        data = mujoco.MjData(model)
+        data.qvel[0], data.ctrl[0] = world, 0.2
+        mujoco.mj_step(model, data, 50)
+        rows.append(data.qpos.copy())
+    return np.stack(rows)
+
+
+@pytest.mark.parametrize("name", VARIABLE)
+def test_worlds_may_have_model_fields_of_their_own(name):
+    c = engine("c")
+    values = varied(c.model)[name]
+    found = moved(c, {name: values})
+    np.testing.assert_allclose(found, by_hand(name, values), atol=1e-4)
+    assert np.abs(found - by_hand(name, np.stack([values[0]] * WORLDS)))[1:].max() > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["jax", "warp"])
+def test_accelerators_read_the_same_model_fields(name):
+    c, other = engine("c"), engine(name)
+    fields = varied(c.model)
+    np.testing.assert_allclose(moved(other, fields), moved(c, fields), atol=2e-4)
+    assert np.abs(moved(other, fields) - moved(other, {}))[1:].max() > 1e-2
+
+
+def test_a_new_start_draws_the_model_anew_where_it_is_one():
+    c = engine("c")
+    fields = varied(c.model)
+    run = jax.vmap(lambda p: c.step(p, jnp.ones(1), 4))
+    worlds = run(jax.vmap(c.make)(*start(c.model), fields))
+    where = jnp.array([True, False, True])
+    placed = jax.vmap(c.place)(worlds, *start(c.model), where, jax.tree.map(lambda x: x[::-1], fields))
+    for name, values in placed.model.items():
+        assert name in (*VARIABLE, "body_subtreemass")
+        np.testing.assert_array_equal(values[1], worlds.model[name][1])
+        np.testing.assert_array_equal(values[0], worlds.model[name][2])
+
+
+def test_fields_that_cannot_vary_are_told():
+    c = engine("c")
+    qpos, qvel = (x[0] for x in start(c.model))
+    with pytest.raises(EngineError, match=r"^model field 'geom_type' cannot differ between worlds; geom_friction, "):
+        c.make(qpos, qvel, {"geom_type": jnp.zeros(3)})
+    with pytest.raises(EngineError, match=r"^model field body_mass has shape \(2,\), not \(3,\) as the model's$"):
+        c.make(qpos, qvel, {"body_mass": jnp.ones(2)})
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_a_saved_world_goes_on_bit_for_bit(name):
+    one = engine(name, DYNAMICS)
+    step = jax.jit(jax.vmap(lambda p: one.step(p, 0.3 * jnp.ones(1), 1)))
+    worlds = step(jax.vmap(one.make)(*start(one.model), varied(one.model)))
+    saved = jax.device_get(jax.vmap(one.save)(worlds))
+    assert all(isinstance(value, np.ndarray) for value in saved.values())
+    loaded = jax.jit(jax.vmap(one.load))(saved)
+    for ours, theirs in ((worlds, loaded), (step(worlds), step(loaded))):
+        for x, y in zip(*map(jax.tree.leaves, (ours._replace(carry=()), theirs._replace(carry=()))), strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+# Without its barrier a GPU (jax 0.11.2, Warp) stacks zeros here. Run it on every machine that there is.
+@pytest.mark.parametrize("name", HERE)
+def test_what_a_scan_stacks_is_what_single_calls_give(name):
+    one = engine(name, KINEMATICS)
+    worlds = jax.vmap(one.make)(*start(one.model))
+    step = jax.vmap(lambda p: one.step(p, 0.3 * jnp.ones(1), 2))
+
+    def stacking(physics, _):
+        physics = step(physics)
+        return physics, physics._replace(carry=())
+
+    _, stacked = jax.jit(lambda p: jax.lax.scan(stacking, p, length=4))(worlds)
+    alone = jax.jit(step)
+    for t in range(4):
+        worlds = alone(worlds)
+        for field in ("qpos", "qvel", *KINEMATICS):
+            np.testing.assert_allclose(getattr(stacked, field)[t], getattr(worlds, field), atol=1e-5, err_msg=field)
 
 
 @pytest.mark.slow

@@ -1,13 +1,14 @@
 """Arenas by name: those that come with the league, those in a file or module, and names that lead nowhere."""
 
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 import arenas
-from arenas.arena import ArenaError
 from arenas.check import WORLDS, check_arena
+from arenas.errors import ArenaError
 
 RACE = Path(__file__).with_name("race.py")
 
@@ -15,6 +16,16 @@ RACE = Path(__file__).with_name("race.py")
 def test_what_comes_with_the_league():
     assert {"sumo-1v1", "sumo-2v2"} <= set(arenas.names())
     assert [arenas.settings(name).name for name in arenas.names()] == arenas.names()
+
+
+def test_settings_are_read_without_jax_and_mujoco():
+    """A configuration names an arena; to read it, or to manage a league, loads nothing heavy."""
+    code = (
+        "import arenas, sys; found = {n: arenas.settings(n).rules for n in arenas.names()};"
+        "print(*sorted({'jax', 'mujoco', 'torch', 'numpy'} & set(sys.modules)))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == ""
 
 
 def test_an_unknown_name_is_told_what_exists_and_what_is_near():

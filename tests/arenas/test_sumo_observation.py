@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from arenas.sumo import Game
+from arenas.sumo.match import Game
 
 RIGHT = math.pi / 2
 SCENE = [(1.0, 0.0, RIGHT), (1.0, 1.0, 0.0), (-1.0, 0.0, math.pi), (1.0, -1.5, RIGHT)]  # blue/0, blue/1, red/0, red/1
@@ -23,11 +23,11 @@ def seen(brawl, stand):
 
 # blue/0 faces +y: ahead of it is +y, on its left is -x.
 def test_own_part(seen):
-    np.testing.assert_allclose(seen["blue/0"][0:2], [1.0, -0.5], atol=1e-6)  # velocity
-    np.testing.assert_allclose(seen["blue/0"][2], 0.7, atol=1e-6)  # yaw rate
-    np.testing.assert_allclose(seen["blue/0"][3:5], [0.0, 0.5], atol=1e-6)  # the centre, 1 m to the left of a 2 m ring
-    np.testing.assert_allclose(seen["blue/0"][5:9], [1.0, 2.0, 0.25, 1.0], atol=1e-6)  # margin, radius, time, up
-    np.testing.assert_allclose(seen["blue/0"][9:11], [0.3, -0.2], atol=1e-6)  # last action
+    np.testing.assert_allclose(seen["blue/0"][0:2], [0.3, -0.2], atol=1e-6)  # last action
+    np.testing.assert_allclose(seen["blue/0"][2:4], [1.0, -0.5], atol=1e-6)  # velocity
+    np.testing.assert_allclose(seen["blue/0"][4], 0.7, atol=1e-6)  # yaw rate
+    np.testing.assert_allclose(seen["blue/0"][5:7], [0.0, 0.5], atol=1e-6)  # the centre, 1 m to the left of a 2 m ring
+    np.testing.assert_allclose(seen["blue/0"][7:11], [1.0, 2.0, 0.25, 1.0], atol=1e-6)  # margin, radius, time, up
 
 
 @pytest.mark.parametrize(
@@ -52,11 +52,11 @@ def test_sizes_and_order(seen):
 
 
 def test_the_up_axis_tells_a_rover_on_its_back(seen):
-    np.testing.assert_allclose([seen[name][8] for name in ACTIONS], [1.0, 1.0, 1.0, -1.0], atol=1e-6)
+    np.testing.assert_allclose([seen[name][10] for name in ACTIONS], [1.0, 1.0, 1.0, -1.0], atol=1e-6)
 
 
 def test_the_radius_seen_is_the_radius_now(duel, stand):
     physics = stand(duel.arena, [(0.6, 0.0, 0.0), (-0.6, 0.0, 0.0)], time=7.5)
     seen = duel.arena.observe(physics, Game(jnp.asarray(1.5)), {"blue/0": jnp.zeros(2), "red/0": jnp.zeros(2)})
-    np.testing.assert_allclose(seen["red/0"][3:8], [0.6 / 0.9, 0.0, 0.3, 0.9, 0.75], atol=1e-6)
+    np.testing.assert_allclose(seen["red/0"][5:10], [0.6 / 0.9, 0.0, 0.3, 0.9, 0.75], atol=1e-6)
     assert seen["red/0"].shape == (20,)

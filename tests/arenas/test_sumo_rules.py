@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import arenas
-from arenas.sumo import Game, SumoRules
+from arenas.sumo import SumoRules
+from arenas.sumo.match import Game
 
 IN, OUT = (1.0, 0.5, 0.3), (1.2, 1.7, 0.0)  # 1.12 m and 2.08 m from the centre of a ring of 2 m
 RING = Game(jnp.asarray(2.0))
@@ -116,9 +117,9 @@ def test_rolling_over_the_edge_loses_the_match(duel, stand):
 
 @pytest.mark.parametrize(("size", "ring"), [(1, 0.85), (2, 1.4), (3, 1.9), (4, 2.5)])
 def test_rings_without_room_for_the_start_are_refused(size, ring):
-    settings = arenas.settings("sumo-2v2")
-    with pytest.raises(ValueError, match=rf"^team_size: .* ring of {ring} m; rules.ring must begin at \d.\d+ m"):
-        replace(settings, team_size=size, rules=SumoRules(ring=(ring, 3.0)))
+    settings, team = arenas.settings("sumo-2v2"), ("leatherback",) * size
+    with pytest.raises(ValueError, match=rf"^rules.ring: .* ring of {ring} m; it must begin at \d.\d+ m"):
+        replace(settings, blue=team, red=team, rules=SumoRules(ring=(ring, 3.0)))
 
 
 @pytest.mark.parametrize(
@@ -130,5 +131,6 @@ def test_rules_that_contradict_themselves_are_refused(rule, message):
 
 
 def test_hand_placed_rovers_stand_as_told(duel, stand):
-    up = duel.arena._pose(stand(duel.arena, [(0, 0, math.pi / 3), (1, 0, 0.5)], flipped=(1,))).up
-    np.testing.assert_allclose(up, [1.0, -1.0], atol=1e-6)
+    physics = stand(duel.arena, [(0, 0, math.pi / 3), (1, 0, 0.5)], flipped=(1,))
+    seen = duel.arena.observe(physics, RING, {"blue/0": jnp.zeros(2), "red/0": jnp.zeros(2)})
+    np.testing.assert_allclose([seen[name][10] for name in seen], [1.0, -1.0], atol=1e-6)

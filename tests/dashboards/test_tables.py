@@ -1,6 +1,7 @@
 import csv
 import io
 import json
+import re
 import subprocess
 import sys
 
@@ -48,6 +49,18 @@ def test_table_without_a_terminal_is_plain_text_of_at_most_80_columns():
     assert "-1,500" not in text  # grouped per column
     assert "-1500" in text
     assert text.count("x") == 200  # folded, not cut
+
+
+def test_no_number_is_cut_where_the_table_is_too_wide():
+    row = {"player": "blue-2", **{f"figure_{i}": 1234567.25 + i for i in range(12)}, "note": "words " * 9}
+    for width in (30, 60, 80, 120):
+        text = render([row], [*row], width=width)
+        assert max(map(len, text.splitlines())) <= width
+        shown = [f"figure_{i}" for i in range(12) if f"{1234567 + i:,}" in text]
+        assert shown == [f"figure_{i}" for i in range(len(shown))]
+        (told,) = re.findall(r"too few for: ([^─]*)", " ".join(text.split()))
+        assert told.split(", ") == [name for name in row if name not in ("player", *shown)]
+    assert "too few" not in render([row], [*row], width=300)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from PIL import Image
 
 from dashboards import viewer
 from dashboards.errors import ViewerError
+from dashboards.headless import headless_viewer
+from dashboards.replay import replay
 from storage.recording import Recording, RecordingHeader, from_bytes, to_bytes
 from storage.records import ArenaKey
 
@@ -86,7 +88,8 @@ def match():
         reward=np.stack([np.sin(n / 9), -np.sin(n / 9)], axis=1),
         score=np.stack([n > 60, n < 0], axis=1),
         markers={"ring": np.stack([0 * radius, 0 * radius, radius], axis=1)},
-        events=[(30, "contact"), (60, "red/0 leaves the ring")],
+        events=[(30, "contact"), (60, "red/0 leaves the ring"), (80, "contact")],
+        terms={"push": np.stack([n / STEPS, -n / STEPS], axis=1), "effort": np.full((STEPS, 2), -0.25)},
     )
     return from_bytes(to_bytes(recording))
 
@@ -172,14 +175,56 @@ def test_a_ring_that_stands_still_is_written_once(match, tmp_path):
     assert rows == [1]
 
 
+def test_segments_and_balls_are_where_they_were_told(match, tmp_path):
+    along = np.linspace(0, 1, STEPS)
+    told = {
+        "laser": np.stack([0 * along, 0 * along, 0 * along + 0.1, along, 2 * along, 3 * along], axis=1),
+        "zone": np.stack([4 + along, 0 * along, 0 * along + 3, 1.5 - along], axis=1),
+        "goal": np.tile([9.0, 0.0, 3.0, 0.2], (STEPS, 1)),
+    }
+    kinds = {"laser": "segment", "zone": "sphere", "goal": "ball"}
+    shown = replace(match, header=replace(match.header, marker_kinds=kinds), markers=told)
+    viewer.write_rrd(shown, tmp_path / "shown.rrd")
+    reader = rr.chunk.RrdReader(tmp_path / "shown.rrd")
+    found = {}
+    for chunk in (chunk for store in reader.recordings() for chunk in reader.stream(store=store).to_chunks()):
+        batch = chunk.to_record_batch()
+        found |= {(chunk.entity_path, name): batch.column(name).to_pylist() for name in batch.schema.names}
+    strips = np.array([row[0] for row in found["/world/markers/laser", "LineStrips3D:strips"]])
+    np.testing.assert_allclose(strips.reshape(STEPS, 6), told["laser"], atol=1e-6)
+    centres = np.array([row[0] for row in found["/world/markers/zone", "Ellipsoids3D:centers"]])
+    halves = np.array([row[0] for row in found["/world/markers/zone", "Ellipsoids3D:half_sizes"]])
+    np.testing.assert_allclose(centres, told["zone"][:, :3], atol=1e-6)
+    np.testing.assert_allclose(halves, np.repeat(told["zone"][:, 3:], 3, axis=1), atol=1e-6)
+    assert found["/world/markers/goal", "Ellipsoids3D:centers"] == [[[9, 0, 3]]]  # once, for it stands still
+    assert replay(shown).radius == pytest.approx(1.2 * 9.0)  # a goal far from all bodies is in the picture
+
+
 def test_reward_score_events_and_header_are_told(match, columns):
     assert [row[0] for row in columns["/reward/red", "Scalars:scalars"]] == match.reward[:, 1].tolist()
     assert [row[0] for row in columns["/score/blue", "Scalars:scalars"]] == match.score[:, 0].tolist()
-    assert columns["/events", "step"] == [30, 60]
-    assert columns["/events", "TextLog:text"] == [["contact"], ["red/0 leaves the ring"]]
+    assert columns["/events", "step"] == [30, 60, 80]
+    assert columns["/events", "TextLog:text"] == [["contact"], ["red/0 leaves the ring"], ["contact"]]
     text = columns["/header", "TextDocument:text"][0][0]
     assert "# win blue" in text
     assert "| red | red@8 | 0 | red/0 |" in text
+
+
+def test_terms_are_series_of_their_team_and_events_lanes_of_the_time_line(match, columns):
+    assert [row[0] for row in columns["/terms/red/push", "Scalars:scalars"]] == match.terms["push"][:, 1].tolist()
+    assert [row[0] for row in columns["/terms/blue/effort", "Scalars:scalars"]] == [-0.25] * STEPS
+    assert columns["/lanes/contact", "step"] == [30, 31, 80, 81]
+    assert columns["/lanes/contact", "StateChange:state"] == [["contact"], [""], ["contact"], [""]]
+    (lane,) = {path for path, _ in columns if path.startswith("/lanes/red")}
+    assert columns[lane, "step"] == [60, 61]
+
+
+def test_a_match_without_terms_or_events_is_drawn_without_them(match, tmp_path):
+    viewer.write_rrd(replace(match, terms={}, events=()), tmp_path / "plain.rrd")
+    reader = rr.chunk.RrdReader(tmp_path / "plain.rrd")
+    paths = {chunk.entity_path for store in reader.recordings() for chunk in reader.stream(store=store).to_chunks()}
+    assert {path.split("/")[1] for path in paths} >= {"world", "score", "reward", "header"}
+    assert not {path.split("/")[1] for path in paths} & {"terms", "events", "lanes"}
 
 
 def test_a_name_under_another_bodys_name_does_not_inherit_its_motion(match, tmp_path):
@@ -203,7 +248,7 @@ def pixels(path):
     )
 
 
-def test_pictures_show_both_teams_and_the_match_going_on(match, tmp_path):
+def test_pictures_show_both_teams_and_the_match_going_on(match, tmp_path, graphics):
     early, late = tmp_path / "early.png", tmp_path / "late.png"
     viewer.shot(match, early, at_seconds=0, size=(1000, 600))
     viewer.shot(match, late, at_seconds=2.0, size=(1000, 600))
@@ -220,15 +265,15 @@ def test_pictures_show_both_teams_and_the_match_going_on(match, tmp_path):
     assert widths[1] / widths[0] == pytest.approx(1.2 / 2, abs=0.08)  # nearly the ratio of the rings' radii
 
 
-def test_show_hands_the_match_to_a_viewer_that_already_runs(match, tmp_path, monkeypatch):
+def test_show_hands_the_match_to_a_viewer_that_already_runs(match, monkeypatch, graphics):
     monkeypatch.setenv("DISPLAY", ":0")  # the viewer below needs none
-    with viewer._headless_viewer(tmp_path, (400, 300)) as client:
+    with headless_viewer((400, 300)) as client:
         viewer.show(match, port=int(client.url.split(":")[-1].split("/")[0]))
         deadline = time.monotonic() + 20
-        while not (recordings := client.get_state().recordings) and time.monotonic() < deadline:
+        while not (recordings := client.state().recordings) and time.monotonic() < deadline:
             time.sleep(0.1)
         timelines = {timeline.name: timeline for timeline in recordings[0].timelines}
-        assert {view.name for view in client.get_state().views} >= {"sumo", "Score", "Events"}
+        assert {view.name for view in client.state().views} >= {"sumo", "Score", "Events", "Terms of blue", "Time line"}
     assert (timelines["step"].start, timelines["step"].end) == (0, STEPS - 1)
 
 
@@ -236,7 +281,7 @@ def test_errors_say_what_to_type(match, tmp_path, monkeypatch):
     with pytest.raises(ViewerError, match=r"no second 9 in this match; it has 0\.02 to 2"):
         viewer.shot(match, tmp_path / "x.png", at_seconds=9)
     unknown = replace(match, header=replace(match.header, marker_kinds={"ring": "hexagon"}))
-    with pytest.raises(ViewerError, match="marker 'ring' is a 'hexagon'; the viewer draws: 'circle'"):
+    with pytest.raises(ViewerError, match="marker 'ring' is a 'hexagon'; the viewer draws: 'circle', 'segment',"):
         viewer.write_rrd(unknown, tmp_path / "x.rrd")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -246,14 +291,6 @@ def test_errors_say_what_to_type(match, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ViewerError, match=r"pip install 'robot-league\[view\]'"):
         viewer.write_rrd(match, tmp_path / "x.rrd")
-
-
-def test_without_a_vulkan_driver_the_package_is_named(match, tmp_path, monkeypatch):
-    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
-    for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
-        monkeypatch.setenv(variable, "/nonexistent")
-    with pytest.raises(ViewerError, match="apt-get install mesa-vulkan-drivers"):
-        viewer.shot(match, tmp_path / "x.png", at_seconds=1.0)
 
 
 def test_importing_the_viewer_loads_neither_rerun_nor_mujoco():

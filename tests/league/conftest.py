@@ -1,17 +1,28 @@
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from storage.errors import StorageError
+from storage.store import Store
 
-# A league as small as can be that still learns, rates and records: 1v1, 64 worlds, 16 episodes per pair and side.
-TINY = (
-    "--arena.name", "sumo-1v1", "--league", "tiny", "--seed", "3", "--training.worlds", "64", "--rating.worlds", "64",
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+T = TypeVar("T")
+
+# A league as small as can be that still learns, rates and records: 64 worlds, 16 episodes per pair and side.
+SMALL = (
+    "--league", "tiny", "--seed", "3", "--training.worlds", "64", "--rating.worlds", "64",
     "--rating.quota", "32", "--rating.final-quota", "32", "--rating.pairings", "2", "--rating.milestones", "1s",
+    "--workers.nice", "0",
 )  # fmt: skip
+TINY = ("--arena.name", "sumo-1v1", *SMALL)
+PUCKS = ("--arena.name", f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race", *SMALL)  # compiles in half the time
 
 
 def command(*args: str) -> list[str]:
@@ -19,10 +30,29 @@ def command(*args: str) -> list[str]:
     return [sys.executable, "-m", "league", *args]
 
 
-def call(*args: str, cwd: Path, timeout: float = 240) -> subprocess.CompletedProcess:
+def call(*args: str, cwd: Path, timeout: float = 540) -> subprocess.CompletedProcess:
     """Run a command to its end."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command(*args), cwd=cwd, capture_output=True, text=True, timeout=timeout, env=environment)
+    return subprocess.run(command(*args), cwd=cwd, capture_output=True, text=True, timeout=timeout, env=ENVIRONMENT)
+
+
+def start(*args: str, cwd: Path) -> subprocess.Popen:
+    """Start a command; what it says is added to out.txt in its folder."""
+    with (cwd / "out.txt").open("ab") as out:
+        return subprocess.Popen(command(*args), cwd=cwd, stdout=out, stderr=out, env=ENVIRONMENT)
+
+
+def wait_for(folder: Path, what: Callable[[Store], T], seconds: float = 300) -> T:
+    """Look into the store in a folder until `what(store)` is true, and return that."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        try:
+            with Store.open(folder / "league-data") as store:
+                if store.leagues() and (found := what(store)):
+                    return found
+        except StorageError:
+            pass  # not made yet
+        time.sleep(0.1)
+    pytest.fail(f"waited {seconds} s in vain; the league said:\n{(folder / 'out.txt').read_text()}")
 
 
 @pytest.fixture(scope="session")

@@ -5,16 +5,19 @@ import io
 import json
 import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 
 import league
-from tests.league.conftest import ROOT, TINY, call
+from tests.league.conftest import ENVIRONMENT, ROOT, TINY, call
 
 
 def test_a_run_learns_rates_and_says_what_to_type_next(tiny_league):
     _, printed = tiny_league
-    assert re.search(r"blue\+red learn · iteration \d+ · [\d,]+ steps · [\d,]+ steps/s", printed)
+    assert re.search(r"^(starting|compiling)\b.* so far", printed, re.MULTILINE)
+    assert re.search(r"^done · .*blue \d+ %.*vs initial", printed, re.MULTILINE)
     assert "blue@0" in printed
     assert "league watch" in printed
     assert "its own blue@0" in printed
@@ -28,7 +31,8 @@ def test_ratings_say_the_same_in_every_format(tiny_league):
     assert [row["name"] for row in rows] == [line["name"] for line in lines]
     assert all(row["name"] in table for row in rows)
     rated = [row for row in rows if row["elo"] is not None]
-    assert rated == sorted(rated, key=lambda row: -row["elo"])
+    known = [row for row in rated if row["known"]]
+    assert known == sorted(known, key=lambda row: -row["elo"])
     assert all(row["low"] < row["elo"] < row["high"] for row in rated if row["iteration"] != 0)
     assert {"idle", "random", "pusher", "centre-holder"} <= {row["name"] for row in rows}
 
@@ -47,7 +51,7 @@ def test_the_match_log_adds_up(tiny_league):
     folder, _ = tiny_league
     with league.open(str(folder / "league-data")) as opened:
         log = opened.store.matches(opened.league)
-        assert len(log) == len(opened.matches()) > 4
+        assert len(log) == len(opened.matches()) > 0
     for match in log:
         games = match.wins + match.draws + match.losses
         assert games + match.voids == 32
@@ -73,7 +77,7 @@ def test_the_same_command_does_not_train_beyond_its_budget(tmp_path):
     assert "has had its budget of 2,048 steps" in again.stdout
 
 
-def test_watch_writes_a_file_for_rerun_and_a_picture(tiny_league, tmp_path):
+def test_watch_writes_a_file_for_rerun_and_a_picture(graphics, tiny_league, tmp_path):
     folder, _ = tiny_league
     saved, shot = tmp_path / "match.rrd", tmp_path / "match.png"
     done = call("watch", "--save", str(saved), "--shot", str(shot), cwd=folder)
@@ -90,7 +94,7 @@ def test_watch_writes_a_file_for_rerun_and_a_picture(tiny_league, tmp_path):
 
 def test_status_and_stop_of_a_league_that_does_not_run(tiny_league):
     folder, _ = tiny_league
-    assert "0 failed" in call("status", cwd=folder).stdout
+    assert "League tiny: stopped" in call("status", cwd=folder).stdout
     assert "is not running" in call("stop", cwd=folder).stdout
 
 
@@ -119,14 +123,11 @@ def test_the_commands_of_the_readme_exist(tiny_league):
 
 
 def test_the_python_example_of_the_readme_runs(tiny_league):
-    import subprocess
-    import sys
-
     folder, _ = tiny_league
     (example,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.S | re.M)
     done = subprocess.run(
-        [sys.executable, "-c", example], cwd=folder, capture_output=True, text=True, timeout=240,
-        env={**__import__("os").environ, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-c", example], cwd=folder, capture_output=True, text=True, timeout=540,
+        env=ENVIRONMENT,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
@@ -167,7 +168,7 @@ def test_bad_input_is_told_in_one_breath_and_leaves_nothing(args, says, tmp_path
     [
         (("ratings", "--league", "tinny"), "Did you mean 'tiny'"),
         (("watch", "999"), "There is no match 999"),
-        (("run", "--league", "tiny", "--arena.name", "sumo-2v2"), "is played in sumo-1v1"),
+        (("run", "--league", "tiny", "--arena.name", "sumo-2v2"), "cannot go on in sumo-2v2: its player blue fits"),
     ],
 )
 def test_a_wrong_name_in_a_good_store(args, says, tiny_league):

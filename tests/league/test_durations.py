@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from league.durations import seconds
+from league.config.durations import seconds
 
 
 @pytest.mark.parametrize(

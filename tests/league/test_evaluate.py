@@ -7,29 +7,35 @@ import numpy as np
 import pytest
 
 from agents.rollout import Games
-from arenas.arena import Frames
-from league import config as configuration
+from league.config import presets
 from league.evaluate import Referee
+from league.jobs import RatingMatch
 from league.policies import add_scripts
-from storage.records import ArenaKey, League, Match, PairCounts, Snapshot
+from storage.errors import StorageError
+from storage.records import League, Match, PairCounts, Snapshot
 from storage.store import Store
 
-A, B, C = (Snapshot(d, "tiny", d, "leatherback:20:2") for d in "abc")
+A, B, C = (Snapshot("tiny", name, f"digest of {name}", "leatherback:20:2") for name in "abc")
+TASK = RatingMatch((("a", "b"), ("a", "c")), 5)
 
 
 @pytest.fixture(scope="module")
 def referee():
-    config = configuration.duel()
+    config = presets.duel()
     config = replace(config, rating=replace(config.rating, worlds=16, pairings=2, record=False))
     return Referee(config, config.arena.build(engine="c", threads=1), "tiny")
 
 
-def games(scores: list[float], void: tuple[int, ...] = ()) -> Games:
-    """Games in which team 0 of each world scored as given."""
+def games(scores: list[float], void: tuple[int, ...] = (), culprits: dict[int, list[int]] | None = None) -> Games:
+    """Games in which team 0 of each world scored as given; `culprits` are the teams that broke a world."""
     first = np.array(scores)
-    voids = np.isin(np.arange(len(first)), void)
-    return Games(np.stack([first, 1 - first], 1), voids, np.full(len(first), 7), Frames(*[np.zeros(0)] * 2, {}), {},
-                 np.zeros(0), np.zeros(0))  # fmt: skip
+    broke = np.zeros((len(first), 2), bool)
+    for world, teams in (culprits or {}).items():
+        broke[world, teams] = True
+    return Games(
+        score=np.stack([first, 1 - first], 1), void=np.isin(np.arange(len(first)), void), culprits=broke,
+        decisions=np.full(len(first), 7), frames=(), actions={}, reward=np.zeros(0), running=np.zeros(0),
+    )  # fmt: skip
 
 
 def seats(referee: Referee, *pairs):
@@ -49,17 +55,17 @@ def test_snapshots_of_unlike_rosters_keep_their_sides_and_are_no_seed_pairs(refe
     teams = (referee.arena.teams[0], replace(referee.arena.teams[1], agents=referee.arena.teams[1].agents * 2))
     monkeypatch.setattr(referee.arena, "teams", teams)
     other = replace(B, roster=teams[1].roster)
-    assert referee._seatings(other, A) == [(A, other)] * 2
+    assert referee._seatings(other, A) == ((A, other), (A, other))
     keys = np.asarray(jax.random.key_data(referee._keys([(A, other)] * 2, seed=5))).reshape(8, -1)
     assert len(np.unique(keys, axis=0)) == 8
-    with pytest.raises(ValueError, match="cannot meet"):
+    with pytest.raises(StorageError, match="cannot play sumo-1v1"):
         referee._seatings(A, C)
 
 
 def test_counts_are_for_a_whatever_side_it_played(referee):
     #            A at home        A away           the other pair
     played = games([1, 1, 0.5, 0, 1, 0, 0.5, 0] + [0] * 8)
-    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), 5, None)
+    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), TASK, None)
     assert (match.wins, match.draws, match.losses, match.voids) == (4, 2, 2, 0)
     assert (match.side_wins, match.side_draws, match.side_losses) == (2, 1, 1)
     # pair by pair, A's two games: win and loss, win and win, draw and draw, loss and win
@@ -69,18 +75,43 @@ def test_counts_are_for_a_whatever_side_it_played(referee):
 
 def test_a_void_game_counts_for_nobody_and_breaks_its_pair(referee):
     played = games([1, 1, 1, 1, 0, 0, 0, 0] + [0] * 8, void=(0, 6))
-    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), 5, None)
+    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), TASK, None)
     assert (match.wins, match.losses, match.voids) == (6, 0, 2)
     assert match.pairs == PairCounts(ww=2)
 
 
+def test_a_void_game_is_put_down_to_the_side_whose_robots_alone_went_bad(referee):
+    # in worlds 0-3 A plays team 0, in 4-7 team 1
+    culprits = {0: [0], 1: [1], 2: [0, 1], 4: [1], 5: [0]}
+    played = games([1.0] * 16, void=(0, 1, 2, 4, 5, 6), culprits=culprits)
+    match = referee._count(played, 0, A, B, seats(referee, (A, B), (A, C)), TASK, None)
+    assert (match.voids, match.voids_a, match.voids_b) == (6, 2, 2)
+
+
 def test_scripts_really_play_and_a_batch_with_one_pair_fills_all_its_places(referee, tmp_path):
     with Store.open(tmp_path / "store", create=True) as store:
-        store.create_league(League("tiny", ArenaKey("sumo-1v1", "0", "c"), ""))
+        store.create_league(League("tiny", ""))
         add_scripts(store, "tiny", referee.arena, ("idle", "centre-holder"))
-        pool = {s.name: s.digest for s in store.snapshots("tiny")}
-        matches = referee.play(store, [(pool["centre-holder"], pool["idle"])], seed=3)
+        task = RatingMatch((("centre-holder", "idle"),), 3)
+        matches = referee.play(store, task)
         assert [m.wins + m.draws + m.losses + m.voids for m in matches] == [8, 8]
         assert sum(m.wins for m in matches) >= 14  # the ring shrinks until idle rovers stand outside
-        assert matches == referee.play(store, [(pool["centre-holder"], pool["idle"])], seed=3)
+        assert matches == referee.play(store, task)
         assert all(isinstance(m, Match) and m.arena == referee.key for m in matches)
+
+
+def test_a_referee_keeps_no_more_policies_in_memory_than_it_may(tmp_path):
+    config = presets.duel()
+    config = replace(
+        config, rating=replace(config.rating, worlds=16, pairings=2, record=False),
+        storage=replace(config.storage, policies=2),
+    )  # fmt: skip
+    arena = config.arena.build(engine="c", threads=1)
+    referee = Referee(config, arena, "tiny")
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", arena, None)
+        for snapshot in store.snapshots("tiny"):
+            referee._thawed(store, snapshot)
+        assert len(store.snapshots("tiny")) > 2
+        assert len(referee._policies) == 2

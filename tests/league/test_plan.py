@@ -4,138 +4,224 @@ from dataclasses import replace
 
 import pytest
 
-from league import config as configuration
-from league.plan import Standing, initial, next_matches, next_turn, yardsticks
+from league import plan
+from league.config import experiment as configuration
+from league.config import presets
+from league.jobs import RatingMatch, TrainingTurn, decode
+from league.measures import initial_opponents, yardsticks
+from league.standing import Standing
+from matchmaking.ladder import Ladder
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
-from storage.records import ArenaKey, Checkpoint, Job, Match, PairCounts, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, Job, Match, PairCounts, Phase, Player, Snapshot
 
 KEY = ArenaKey("sumo-2v2", "0", "c")
 PLAYERS = tuple(Player("quickstart", name, team, "main", "rover") for team, name in enumerate(("blue", "red")))
+MORE = (*PLAYERS, *(replace(p, name=f"{p.name}-2", group="2") for p in PLAYERS))
 
 
-def checkpoints(iteration: int, seconds: float = 0.0) -> tuple[Checkpoint, ...]:
-    return tuple(Checkpoint("quickstart", p.name, f"c{p.name}", iteration * 8192, iteration, seconds) for p in PLAYERS)
+def checkpoints(iteration, seconds=0.0, players=PLAYERS):
+    if isinstance(iteration, int):
+        iteration = {p.name: iteration for p in players}
+    return {name: Checkpoint("quickstart", name, f"{name}:{i}", i * 8192, i, seconds) for name, i in iteration.items()}
 
 
-def snapshots(*iterations: int, seconds: float = 1.0) -> tuple[Snapshot, ...]:
+def snapshots(*iterations: int, seconds: float = 1.0, players=PLAYERS) -> tuple[Snapshot, ...]:
     frozen = tuple(
-        Snapshot(f"{p.name}{i}", "quickstart", f"{p.name}@{i}", "rover", p.name, None, i * 8192, i, i * seconds)
+        Snapshot(
+            "quickstart", f"{p.name}@{i}", f"digest of {p.name}@{i}", p.roster, p.name, initial=i == 0, step=i * 8192,
+            iteration=i, seconds=i * seconds,
+        )
         for i in iterations
-        for p in PLAYERS
-    )
-    return (Snapshot("pusher", "quickstart", "pusher", "rover", script="pusher"), *frozen)
+        for p in players
+    )  # fmt: skip
+    return (Snapshot("quickstart", "pusher", "p", "rover", script="pusher", origin="scripted"), *frozen)
 
 
-def standing(**given) -> Standing:
-    empty = {"players": PLAYERS, "snapshots": (), "checkpoints": (), "matches": (), "jobs": ()}
-    return Standing(**{**empty, **given})
+def standing(matches=(), **given) -> Standing:
+    empty = {"players": PLAYERS, "snapshots": (), "checkpoints": {}, "phases": {}, "jobs": ()}
+    values = {**empty, **given}
+    names = [s.name for s in values["snapshots"]]
+    played = max((m.created for m in matches), default=0.0)
+    ladder = Ladder(names, matches, [s.name for s in values["snapshots"] if s.initial])
+    return Standing(**values, ladder=ladder, played=played)
 
 
-def match(a: str, b: str, games: int = 128) -> Match:
+def match(a: str, b: str | None, games: int = 128) -> Match:
     half = games // 2
-    return Match("quickstart", KEY, a, b, half, 0, half, 0, half // 2, 0, half // 2, PairCounts(0, 0, half, 0, 0), 1)
+    pairs = PairCounts(0, 0, half, 0, 0) if b else PairCounts()
+    return Match("quickstart", KEY, a, b, half, 0, half, 0, half // 2, 0, half // 2, pairs, 1)
 
 
 def training(**changes):
-    base = configuration.quickstart()
+    base = presets.quickstart()
     return replace(base, training=replace(base.training, worlds=256, **changes))
 
 
+def turns(config, state) -> list[TrainingTurn]:
+    return [decode(job) for job in plan.next_turns(config, state).jobs]
+
+
+def pairs_of(planned) -> list[tuple]:
+    return [pair for job in planned.jobs for pair in decode(job).pairs]
+
+
+# Training
+
+
 def test_the_first_turn_only_makes_the_players():
-    job = next_turn(training(), standing())
-    assert (job.payload["first"], job.payload["last"], job.payload["learners"]) == (0, 0, [0, 1])
+    (turn,) = turns(training(), standing())
+    assert (turn.iterations, turn.learners, turn.bases) == (0, ("blue", "red"), {"blue": "", "red": ""})
 
 
 def test_turns_end_where_snapshots_are_due_and_never_last_longer_than_a_crash_may_cost():
-    ends = []
-    at = 0
+    ends, at = [], 0
     while at < 80:
-        job = next_turn(training(turn=16), standing(checkpoints=checkpoints(at)))
-        assert job.payload["first"] == at
-        at = job.payload["last"]
+        (turn,) = turns(training(turn=16), standing(checkpoints=checkpoints(at)))
+        at += turn.iterations
         ends.append(at)
     assert ends == [1, 2, 4, 8, 16, 32, 48, 64, 80]
 
 
-def test_leapfrog_turns_end_at_the_swap_and_name_one_learner():
+def test_leapfrog_passes_on_after_the_learners_own_iterations_and_the_store_holds_the_phase():
     config = training(turn=100, schedule=Schedule("leapfrog", period=5))
-    seen = []
-    at = 0
-    while at < 20:
-        payload = next_turn(config, standing(checkpoints=checkpoints(at))).payload
-        seen.append((payload["first"], payload["last"], tuple(payload["learners"])))
-        at = payload["last"]
-    assert {(first // 5) % 2 == learner for first, _, (learner,) in seen} == {True}
-    assert {last for _, last, _ in seen} >= {5, 10, 15, 20}
+    at, phases, seen = {"blue": 0, "red": 0}, {}, []
+    while sum(at.values()) < 20:
+        planned = plan.next_turns(config, standing(checkpoints=checkpoints(at), phases=phases))
+        (phase,), (job,) = planned.phases, planned.jobs
+        phases = {"1": phase}
+        turn = decode(job)
+        assert turn.phase == phase.number
+        (learner,) = turn.learners
+        at[learner] += turn.iterations
+        seen += [learner] * turn.iterations
+    assert seen == ["blue"] * 5 + ["red"] * 5 + ["blue"] * 5 + ["red"] * 5
 
 
-def test_one_open_turn_at_a_time_and_none_when_the_budget_is_spent():
+def test_one_open_turn_for_each_group_and_none_when_its_budget_is_spent():
     config = training()
-    open_job = Job("quickstart", "train", "train:0-1", state="leased")
-    assert next_turn(config, standing(checkpoints=checkpoints(0), jobs=(open_job,))) is None
-    assert next_turn(config, standing(checkpoints=checkpoints(9, seconds=300.0))) is None
-    assert next_turn(config, standing(checkpoints=checkpoints(9, seconds=299.0))) is not None
+    state = standing(checkpoints=checkpoints(0))
+    (job,) = plan.next_turns(config, state).jobs
+    assert not turns(config, replace(state, jobs=(replace(job, state="leased"),)))
+    assert not turns(config, standing(checkpoints=checkpoints(9, seconds=300.0)))
+    assert turns(config, standing(checkpoints=checkpoints(9, seconds=299.0)))
+
+
+def test_several_groups_have_turns_open_at_once_each_with_its_own_players_and_iterations():
+    at = checkpoints({"blue": 4, "red": 4, "blue-2": 1, "red-2": 1})
+    first, second = turns(training(), standing(players=MORE, checkpoints=at))
+    assert (first.learners, second.learners) == (("blue", "red"), ("blue-2", "red-2"))
+    assert (first.iterations, second.iterations) == (4, 1)
+    assert set(first.bases) == {"blue", "red"}
+
+
+def test_a_turn_set_aside_stops_its_own_group_and_no_other():
+    config, at = training(), checkpoints(4, players=MORE)
+    state = standing(players=MORE, checkpoints=at)
+    first, second = plan.next_turns(config, state).jobs
+    state = replace(state, jobs=(replace(first, state="failed"),))
+    assert [turn.group for turn in turns(config, state)] == ["2"]
+    assert not plan.trained_enough(config, state)
+    both = replace(state, jobs=tuple(replace(job, state="failed") for job in (first, second)))
+    assert plan.trained_enough(config, both)
+
+
+def test_a_turn_that_was_gone_back_from_is_another_job_with_other_dice():
+    config, at = training(), checkpoints(4)
+    (before,) = plan.next_turns(config, standing(checkpoints=at)).jobs
+    back = (replace(PLAYERS[0], setbacks=1), PLAYERS[1])
+    (after,) = plan.next_turns(config, standing(players=back, checkpoints=at)).jobs
+    assert decode(before).dice == 0
+    assert decode(after).dice == 1
+    assert before.key != after.key
+
+
+def test_a_paused_player_sits_on_and_learns_no_more():
+    paused = (replace(PLAYERS[0], paused="it diverged twice"), PLAYERS[1])
+    (turn,) = turns(training(), standing(players=paused, checkpoints=checkpoints(4)))
+    assert turn.learners == ("red",)
+    assert turn.present == ("blue", "red")
+    none = tuple(replace(p, paused="it diverged twice") for p in PLAYERS)
+    assert plan.trained_enough(training(), standing(players=none, checkpoints=checkpoints(4)))
 
 
 def test_a_budget_in_steps_is_met_within_one_iteration():
     config = replace(training(turn=100), budget=configuration.Budget(steps=10 * 8192 + 1))
-    assert next_turn(config, standing(checkpoints=checkpoints(8))).payload["last"] == 11
-    assert next_turn(config, standing(checkpoints=checkpoints(11))) is None
+    (turn,) = turns(config, standing(checkpoints=checkpoints(8)))
+    assert turn.iterations == 3
+    assert not turns(config, standing(checkpoints=checkpoints(11)))
 
 
 def test_past_opponents_are_drawn_for_each_learner_from_the_others_and_by_the_seed():
-    config = training(opponents=Opponents("uniform", past=0.5, groups=3))
+    config = training(opponents=Opponents("uniform", past=0.5, groups=6))
     state = standing(checkpoints=checkpoints(4), snapshots=snapshots(0, 1, 2, 4))
-    past = next_turn(config, state).payload["past"]
-    assert set(past) == {"blue", "red"}
-    assert len(past["blue"]) == 3
-    assert all(set(group) == {"red"} and group["red"].startswith("red") for group in past["blue"])
-    assert next_turn(config, state).payload["past"] == past
-    others = [next_turn(replace(config, seed=s), state).payload["past"] for s in range(2, 8)]
-    assert any(other != past for other in others)
+    (turn,) = turns(config, state)
+    assert set(turn.past) == {"blue", "red"}
+    assert len(turn.past["blue"]) == 3
+    assert all(own == "" and other.startswith("red@") for own, other in turn.past["blue"])
+    assert turns(config, state)[0].past == turn.past
+    others = [turns(replace(config, seed=s), state)[0].past for s in range(2, 8)]
+    assert any(other != turn.past for other in others)
+
+
+def test_past_opponents_come_from_every_player_of_the_other_team():
+    config = training(opponents=Opponents("uniform", past=0.9, groups=16))
+    state = standing(
+        players=MORE, checkpoints=checkpoints(4, players=MORE), snapshots=snapshots(0, 1, 2, 4, players=MORE)
+    )
+    met = {name.partition("@")[0] for turn in turns(config, state) for _, name in turn.past.get(turn.learners[0], ())}
+    assert met == {"red", "red-2"}
+
+
+# Rating
 
 
 def test_a_new_snapshot_first_meets_its_own_initial_one():
     state = standing(checkpoints=checkpoints(1), snapshots=snapshots(0, 1))
-    (job,) = next_matches(training(), state)
-    pairs = {tuple(pair) for pair in job.payload["pairs"]}
-    assert {("blue1", "blue0"), ("red1", "red0")} <= pairs
+    pairs = pairs_of(plan.next_matches(training(), state))
+    assert {("blue@1", "blue@0"), ("red@1", "red@0")} <= set(pairs)
     assert all(a != b for a, b in pairs)
 
 
 def test_one_batch_of_matches_at_a_time():
-    open_job = Job("quickstart", "match", "match:0", state="queued")
-    assert next_matches(training(), standing(snapshots=snapshots(0), jobs=(open_job,))) == []
+    open_job = Job("quickstart", RatingMatch.kind, "match:0", state="queued")
+    state = standing(checkpoints=checkpoints(0), snapshots=snapshots(0), jobs=(open_job,))
+    assert plan.next_matches(training(), state) == plan.Plan()
 
 
 def test_when_training_is_over_the_newest_meet_all_yardsticks_until_their_quota():
     config = training()
     state = standing(checkpoints=checkpoints(64, seconds=300.0), snapshots=snapshots(0, 1, 16, 64, seconds=4.7))
+    newest = {s.name: s for s in state.snapshots}
     for name in ("blue", "red"):
-        newest = state.history(name)[-1]
-        assert [s.digest for s in yardsticks(config, state, newest)] == [f"{name}0", f"{name}16", "pusher"]
+        found = [s.name for s in yardsticks(config, state, newest[f"{name}@64"])]
+        assert found == [f"{name}@0", f"{name}@16", "pusher"]
     played: list[Match] = []
     for _ in range(40):
-        jobs = next_matches(config, replace(state, matches=tuple(played)))
-        if not jobs or not all(a in ("blue64", "red64") for a, _ in jobs[0].payload["pairs"]):
+        pairs = pairs_of(plan.next_matches(config, _with(state, played)))
+        if not pairs or not all(a in ("blue@64", "red@64") for a, _ in pairs):
             break
-        played += [match(a, b) for job in jobs for a, b in job.payload["pairs"]]
+        played += [match(a, b) for a, b in pairs]
     met = {}
     for m in played:
         met[m.a, m.b] = met.get((m.a, m.b), 0) + m.wins + m.losses
-    wanted = {(f"{p}64", o) for p in ("blue", "red") for o in (f"{p}0", f"{p}16", "pusher")}
+    wanted = {(f"{p}@64", o) for p in ("blue", "red") for o in (f"{p}@0", f"{p}@16", "pusher")}
     assert met == dict.fromkeys(wanted, config.rating.final_quota)
+
+
+def _with(state: Standing, matches) -> Standing:
+    names = [s.name for s in state.snapshots]
+    return replace(state, ladder=Ladder(names, tuple(matches), [s.name for s in state.snapshots if s.initial]))
 
 
 def test_with_unlike_rosters_only_opponents_can_meet_and_initial_is_the_other_side():
     players = tuple(replace(p, roster=f"roster {p.name}") for p in PLAYERS)
-    frozen = [replace(s, roster=f"roster {s.player}") for s in snapshots(0, 1) if s.player]
+    frozen = tuple(s for s in snapshots(0, 1, players=players) if s.player)
     state = standing(players=players, checkpoints=checkpoints(1), snapshots=frozen)
-    assert initial(state, state.history("blue")[-1]).digest == "red0"
-    (job,) = next_matches(training(), state)
-    for a, b in job.payload["pairs"]:
-        assert {a[:-1], b[:-1]} == {"blue", "red"}
+    newest = next(s for s in frozen if s.name == "blue@1")
+    assert [s.name for s in initial_opponents(newest, frozen, players)] == ["red@0"]
+    for a, b in pairs_of(plan.next_matches(training(), state)):
+        assert {a.partition("@")[0], b.partition("@")[0]} == {"blue", "red"}
 
 
 @pytest.mark.parametrize("matches", [1, 3])
@@ -143,7 +229,59 @@ def test_each_match_worker_gets_a_batch_of_its_own(matches):
     config = training()
     config = replace(config, workers=replace(config.workers, match=matches))
     state = standing(checkpoints=checkpoints(64), snapshots=snapshots(0, 1, 2, 4, 8, 16, 32, 64))
-    jobs = next_matches(config, state)
-    assert [job.key for job in jobs] == [f"match:{i}" for i in range(matches)]
-    pairs = [tuple(sorted(pair)) for job in jobs for pair in job.payload["pairs"]]
+    jobs = plan.next_matches(config, state).jobs
+    assert len({job.key for job in jobs}) == matches
+    pairs = [tuple(sorted(pair)) for job in jobs for pair in decode(job).pairs]
     assert len(set(pairs)) == len(pairs) == matches * config.rating.pairings
+
+
+def test_the_pairs_of_a_batch_set_aside_are_tried_alone_and_what_fails_alone_is_left_out():
+    config = training()
+    state = standing(checkpoints=checkpoints(4), snapshots=snapshots(0, 1, 2, 4))
+    (batch,) = plan.next_matches(config, state).jobs
+    pairs = decode(batch).pairs
+    state = replace(state, jobs=(replace(batch, state="failed"),))
+    alone = plan.next_matches(config, state).jobs
+    assert [decode(job).pairs for job in alone] == [(pair,) for pair in pairs]
+    bad, *good = alone
+    played = [match(*decode(job).pairs[0]) for job in good]
+    after = replace(_with(state, played), jobs=(*state.jobs, replace(bad, state="failed")))
+    again = pairs_of(plan.next_matches(config, after))
+    assert again
+    assert decode(bad).pairs[0] not in again
+
+
+def test_the_key_of_a_batch_follows_what_was_played_and_not_how_many_rows_there_are():
+    config = training()
+    state = standing(checkpoints=checkpoints(1), snapshots=snapshots(0, 1))
+    (first,) = plan.next_matches(config, state).jobs
+    assert plan.next_matches(config, replace(state, jobs=(replace(first, state="done"),))).jobs[0].key == first.key
+    later = _with(state, [match(a, b) for a, b in decode(first).pairs])
+    assert plan.next_matches(config, later).jobs[0].key != first.key
+
+
+def test_time_to_rate_goes_on_where_a_restart_left_it_and_begins_anew_after_more_training():
+    config = replace(training(), budget=configuration.Budget(train="5m", rate="180s"))
+    state = standing(checkpoints=checkpoints(64))
+    phase = plan.rating_phase(config, state)
+    assert phase.until["seconds"] == 180.0
+    kept = {plan.RATING: replace(phase, created=1000.0)}
+    played = [replace(match("blue@64", "blue@0"), created=1100.0)]
+    state = standing(matches=played, checkpoints=checkpoints(64), snapshots=snapshots(0, 64), phases=kept)
+    after = plan.rating_phase(config, state)
+    assert (after.number, after.until["seconds"]) == (1, 80.0)
+    assert plan.rating_phase(config, replace(state, checkpoints=checkpoints(65))).until["seconds"] == 180.0
+
+
+def test_phases_and_jobs_survive_the_stores_json():
+    phase = Phase("quickstart", "1", 0, ("blue",), {"blue": 0}, {"iterations": 5})
+    config = training(schedule=Schedule("leapfrog", period=5))
+    (turn,) = turns(config, standing(checkpoints=checkpoints(0), phases={"1": phase}))
+    assert turn.learners == ("blue",)
+    task = RatingMatch((("a", "b"), ("c", None)), 7)
+    import json
+
+    from league.jobs import encode
+
+    job = encode("quickstart", task, "x")
+    assert decode(replace(job, payload=json.loads(json.dumps(job.payload)))) == task

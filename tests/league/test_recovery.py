@@ -2,37 +2,12 @@
 
 import os
 import signal
-import subprocess
-import time
 
-import pytest
-
-from storage.errors import StorageError
 from storage.store import Store
-from tests.league.conftest import ROOT, TINY, call, command
+from tests.league.conftest import PUCKS, call, start, wait_for
 
 STEPS = "40000"
-RUN = ("run", *TINY, "--deterministic", "--budget.steps", STEPS, "--budget.rate", "20s", "--workers.lease", "60")
-
-
-def start(folder):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with (folder / "out.txt").open("ab") as out:
-        return subprocess.Popen(command(*RUN), cwd=folder, stdout=out, stderr=out, env=environment)
-
-
-def wait_for(folder, what, seconds=120):
-    """Poll the store until `what(store)` is true."""
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        try:
-            with Store.open(folder / "league-data") as store:
-                if store.leagues() and (found := what(store)):
-                    return found
-        except StorageError:
-            pass  # not made yet
-        time.sleep(0.1)
-    pytest.fail(f"waited {seconds} s in vain; the league said:\n{(folder / 'out.txt').read_text()}")
+RUN = ("run", *PUCKS, "--deterministic", "--budget.steps", STEPS, "--budget.rate", "20s", "--workers.lease", "60")
 
 
 def iteration(store):
@@ -60,32 +35,32 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
     killed.mkdir()
     assert call(*RUN, cwd=undisturbed).returncode == 0
 
-    first = start(killed)
+    first = start(*RUN, cwd=killed)
     learner = wait_for(killed, lambda store: of_kind(store, "train"))
-    wait_for(killed, lambda store: any(j.payload["first"] >= 8 for j in store.jobs("tiny", "leased", "train")))
+    wait_for(killed, lambda store: iteration(store) >= 8 and store.jobs("tiny", "leased", "train"))
     os.kill(learner.pid, signal.SIGKILL)  # the manager starts another one and gives it the turn, to be done again
     wait_for(killed, lambda store: iteration(store) >= 16)
     before = results(killed)
     first.send_signal(signal.SIGKILL)  # its workers notice and end
     first.wait()
     wait_for(killed, lambda store: not [w for w in store.workers("tiny", 3) if w.kinds != "manager"])
-    second = start(killed)
-    assert second.wait(timeout=240) == 0, (killed / "out.txt").read_text()
+    second = start(*RUN, cwd=killed)
+    assert second.wait(timeout=540) == 0, (killed / "out.txt").read_text()
 
     ends, frozen, matches, jobs = results(killed)
     assert (ends, frozen) == results(undisturbed)[:2]
     assert matches[: len(before[2])] == before[2]  # nothing recorded was lost, changed or written twice
     assert {job.state for job in jobs} == {"done"}
-    assert any(job.attempt > 1 for job in jobs)  # the kill did hit a lease
+    assert any(job.attempt > 1 and job.failures == 1 for job in jobs)  # the first kill did hit a lease
     assert sum(job.kind == "match" for job in jobs) * 2 == len(matches)  # two pairings a batch
 
 
 def test_a_second_run_of_a_running_league_is_refused_and_stop_reaches_the_first(tmp_path):
-    first = start(tmp_path)
+    first = start(*RUN, cwd=tmp_path)
     wait_for(tmp_path, lambda store: of_kind(store, "manager") and of_kind(store, "train"))
     second = call(*RUN, cwd=tmp_path)
     assert second.returncode == 2
     assert "is running already" in second.stderr
     assert call("stop", cwd=tmp_path).returncode == 0
-    assert first.wait(timeout=60) == 0
+    assert first.wait(timeout=300) == 0
     assert "Nothing is lost" in (tmp_path / "out.txt").read_text()

@@ -5,10 +5,10 @@ from typing import Literal
 
 import pytest
 
-from league.durations import seconds
-from league.settings import ConfigError, check
-from league.toml import dumps, loads
-from league.toml_lines import key_lines
+from league.config.durations import seconds
+from league.config.schema import ConfigError, check
+from league.config.toml import dumps, loads
+from league.config.toml_lines import key_lines
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,16 @@ class Learner:
 
 
 @dataclass(frozen=True)
+class Seat:
+    """One of a crew."""
+
+    name: str
+    """Its name."""
+    at: tuple[int, int] = field(default=(0, 0), metadata={"low": 0})
+    network: Network = Network()
+
+
+@dataclass(frozen=True)
 class Experiment:
     seed: int = 0
     name: str | None = None
@@ -66,6 +76,8 @@ class Experiment:
     arena: Sumo | Galaga = Sumo()
     learner: Learner = Learner()
     best: Learner | None = None
+    crew: tuple[Seat, ...] = ()
+    crews: tuple[Seat, ...] = (Seat("x"),)
 
 
 @dataclass(frozen=True)
@@ -110,7 +122,7 @@ def test_deeper_tables_carry_their_whole_name():
         Experiment(seed=-(2**62), deterministic=True, opponent=None, name='quoted "é" \\ \x7f \t\n#[x]'),
         Experiment(name="", learner=Learner(lr=math.pi * 1e-300, network=Network((), gain=0.1 + 0.2))),
         Experiment(best=Learner(optimiser="sgd", lr=1e22, network=Network((1,), gain=None))),
-        Experiment(learner=Learner(lr=math.inf, network=Network(gain=5e-324))),
+        Experiment(learner=Learner(lr=5e-324), crew=(Seat("a"), Seat("b", (1, 2), Network(gain=None))), crews=()),
         Experiment(arena=Sumo(radius=math.nextafter(2, 3), spread=(0, 1))),
     ],
 )
@@ -143,6 +155,13 @@ def test_none_unsets_what_may_be_unset():
         dumps(Experiment(opponent="none"))
 
 
+def test_what_is_unset_stays_so_where_the_base_has_a_value():
+    base = Experiment(opponent="past", best=Learner())
+    written = dumps(replace(base, opponent=None), base)
+    assert 'opponent = "none"' in written
+    assert loads(written, Experiment, base=base) == replace(base, opponent=None)
+
+
 def test_an_int_is_a_float_but_a_bool_is_no_number():
     read = loads("lr = 1", Learner)
     assert type(read.lr) is float
@@ -169,11 +188,19 @@ def test_an_int_is_a_float_but_a_bool_is_no_number():
         ("[[learner]]\nlr = 1", "1: learner = [{lr = 1}]: expected a table"),
         ("seed = 1979-05-27", "1: seed = 1979-05-27: expected a whole number"),
         ("\n[arena]\nradius = 0", "3: arena.radius = 0.0: must be above 0 and at most 10"),
-        ("\n[arena]\nradius = nan", "3: arena.radius = nan: must be above 0 and at most 10"),
+        ("\n[arena]\nradius = nan", "3: arena.radius = nan: must be finite"),
         ("[arena]\nspread = [0, 1.5]", "2: arena.spread = [0.0, 1.5]: must be between 0 and 1"),
         ("every = 'soon'", '1: every = "soon": "soon" is not a duration'),
         ("[learner]\nlr = 1\nbatch = 63", "3: learner.batch = 63: must be a multiple of minibatches (4)"),
         ("[learner]\nminibatches = 7", "1: learner.batch = 64: must be a multiple of minibatches (7)"),
+        ("[learner]\nlr = inf", "2: learner.lr = inf: must be finite"),
+        ("[learner]\nlr = nan", "2: learner.lr = nan: must be finite"),
+        ("[[crew]]\nname = 'a'\n[[crew]]\nname = 'b'\nat = [1]", "5: crew[1].at = [1]: expected [a whole number, "),
+        ("[[crew]]\nname = 'a'\n\n[[crew]]\nname = 'b'\nat = [1, -1]", "6: crew[1].at = [1, -1]: must be at least 0"),
+        ("[[crew]]\nname = 'a'\n[[crew]]\nnaem = 'b'", "4: unknown key crew[1].naem: did you mean crew[1].name?"),
+        ("[[crew]]\nat = [1, 2]", "1: crew[0].name is missing: expected text in quotes"),
+        ("crew = [{name = 'a'},\n  {name = 3}]", "2: crew[1].name = 3: expected text in quotes"),
+        ("[crew]\nname = 'a'", '1: crew = {name = "a"}: expected a list, each a table'),
         ("seed = 1\n[learner]\noptimiser = 'sgd'\nnetwork.gain = 1", "2: learner: sgd wants no gain"),
     ],
 )
@@ -253,7 +280,12 @@ key = 2024-01-01T00:00:00Z
 [ other . 'table=' ]
 key = 'C:\\'
 [[many]]
+one = true
+[many.inner]
+deep = 1
+[[many]]
 last = true
+inner.deep = [[], {x = 1}, {x = 2, y = []}]
 '''
     tomllib.loads(text)
     assert key_lines(text) == {
@@ -261,7 +293,9 @@ last = true
         ("text",): 3,
         ("raw",): 7,
         ("list",): 9,
-        ("list", "in_list"): 12,
+        ("list", "2"): 12,
+        ("list", "2", "0"): 12,
+        ("list", "2", "0", "in_list"): 12,
         ("inline",): 14,
         ("inline", "x"): 14,
         ("inline", "y"): 14,
@@ -278,5 +312,17 @@ last = true
         ("other", "table="): 20,
         ("other", "table=", "key"): 21,
         ("many",): 22,
-        ("many", "last"): 23,
+        ("many", "0"): 22,
+        ("many", "0", "one"): 23,
+        ("many", "0", "inner"): 24,
+        ("many", "0", "inner", "deep"): 25,
+        ("many", "1"): 26,
+        ("many", "1", "last"): 27,
+        ("many", "1", "inner"): 28,
+        ("many", "1", "inner", "deep"): 28,
+        ("many", "1", "inner", "deep", "1"): 28,
+        ("many", "1", "inner", "deep", "1", "x"): 28,
+        ("many", "1", "inner", "deep", "2"): 28,
+        ("many", "1", "inner", "deep", "2", "x"): 28,
+        ("many", "1", "inner", "deep", "2", "y"): 28,
     }

@@ -1,52 +1,62 @@
-"""Turns of a small league in one process: who learns, what is written, what a restart changes."""
+"""Turns of a small league in one process: who learns, what is written, what a restart changes, what goes wrong."""
 
+from collections import Counter
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from league import config as configuration
-from league.lineup import Turn
-from league.plan import Standing, next_turn
-from league.train import Trainer
+from agents.settings import Architecture
+from league import plan
+from league.config import experiment as configuration
+from league.config import presets
+from league.config.experiment import PlayerSettings
+from league.jobs import decode
+from league.standing import Standing
+from league.train import PlayerDiverged, Trainer
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage import arrays
-from storage.records import ArenaKey, League, Player
+from storage.errors import LeaseLost
+from storage.records import League, Player
 from storage.store import Store
 
 LEAGUE = "duel"
 
 
-def settings(schedule=Schedule(), opponents=Opponents()):  # noqa: B008  (frozen)
-    config = configuration.duel()
-    training = replace(config.training, worlds=16, rollout=8, turn=4, schedule=schedule, opponents=opponents)
-    return replace(config, deterministic=True, training=training, budget=configuration.Budget())
+def settings(schedule=Schedule(), opponents=Opponents(), **changes):  # noqa: B008  (frozen)
+    config = presets.duel()
+    training = replace(config.training, worlds=16, rollout=8, turn=4, schedule=schedule, opponents=opponents, **changes)
+    return replace(config, deterministic=True, training=training, budget=configuration.Budget(steps=10**9))
 
 
 @pytest.fixture(scope="module")
 def arena():
-    return configuration.duel().arena.build(engine="c")
+    return presets.duel().arena.build(engine="c")
 
 
 @pytest.fixture
 def store(tmp_path, arena):
     with Store.open(tmp_path / "store", create=True) as store:
-        store.create_league(League(LEAGUE, ArenaKey("sumo-1v1", "0", "c"), ""))
+        store.create_league(League(LEAGUE, ""))
         store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
         yield store
 
 
+def claim(store, config):
+    planned = plan.next_turns(config, Standing.of(store, LEAGUE))
+    store.queue(planned.jobs, planned.phases)
+    claimed = store.claim(LEAGUE, ["train"], "me", 60)
+    assert claimed is not None
+    lease, job = claimed
+    return lease, decode(job)
+
+
 def turns(store, config, arena, count):
     """Let one worker do the next turns as planned; the trainer afterwards."""
-    trainer = Trainer(config, arena, store.players(LEAGUE))
+    trainer = Trainer(config, arena, store.players(LEAGUE), config.training.worlds)
     for _ in range(count):
-        store.queue([job for job in [next_turn(config, Standing.of(store, LEAGUE))] if job])
-        claimed = store.claim(LEAGUE, ["train"], "me", 60)
-        assert claimed is not None
-        lease, job = claimed
-        turn = Turn.of(job.payload)
+        lease, turn = claim(store, config)
         for _ in trainer.turn(store, turn, lambda: False):
             pass
         trainer.commit(store, lease, turn)
@@ -57,57 +67,187 @@ def history(store):
     return [(c.player, c.iteration, c.digest) for c in store.checkpoints(LEAGUE)]
 
 
+def ends(store):
+    return {name: (c.iteration, c.digest) for name, c in store.newest_checkpoints(LEAGUE).items()}
+
+
 def test_simultaneously_both_learn_and_are_frozen_on_the_axis(store, arena):
     turns(store, settings(), arena, 4)
-    assert [(player, iteration) for player, iteration, _ in history(store)] == [
-        (player, iteration) for iteration in (0, 1, 2, 4) for player in ("blue", "red")
+    assert sorted((i, player) for player, i, _ in history(store)) == [
+        (iteration, player) for iteration in (0, 1, 2, 4) for player in ("blue", "red")
     ]
     assert len({digest for *_, digest in history(store)}) == 8
-    assert [s.iteration for s in store.snapshots(LEAGUE, "red")] == [0, 1, 2, 4]
+    frozen = store.snapshots(LEAGUE, "red")
+    assert [s.iteration for s in frozen] == [0, 1, 2, 4]
+    assert [s.initial for s in frozen] == [True, False, False, False]
+    assert [s.parent for s in frozen] == [None, "red@0", "red@1", "red@2"]
     assert store.checkpoint(LEAGUE, "blue").step == 4 * 16 * 8
 
 
-def test_in_leapfrog_one_learns_while_the_other_stays_byte_for_byte(store, arena):
-    turns(store, settings(Schedule("leapfrog", period=2)), arena, 6)
-    assert [(player, iteration) for player, iteration, _ in history(store)] == [
-        ("blue", 0), ("red", 0), ("blue", 1), ("blue", 2), ("red", 4), ("blue", 6), ("red", 8),
-    ]  # fmt: skip
-    turned = {}
-    for player, iteration, digest in history(store):
-        turned.setdefault(player, []).append((iteration, arrays.from_bytes(store.blobs.get(digest))))
-    assert [iteration for iteration, _ in turned["red"]] == [0, 4, 8]
-    weights = [state["actor.0.mean.weight"] for _, state in turned["blue"]]
-    assert all((a != b).any() for a, b in pairwise(weights))
+def test_every_iteration_leaves_a_point_of_the_learning_curve(store, arena):
+    turns(store, settings(), arena, 4)
+    points = store.curves(LEAGUE, "blue")
+    assert [p.iteration for p in points] == [1, 2, 3, 4]
+    wanted = {"entropy", "ratio", "policy_loss", "value_loss", "explained_variance", "steps_per_second", "past_share"}
+    assert wanted <= set(points[0].values)
+    assert points[-1].step == store.checkpoint(LEAGUE, "blue").step
+
+
+@pytest.mark.slow
+def test_variants_of_the_learner_go_on_in_another_process(store, arena):
+    config = settings(opponents=Opponents("uniform", past=0.5, groups=2))
+    learner = replace(
+        config.learner, architecture=Architecture((8,), squash=2.0, state_std=True), critic_input="all",
+        share_actors=True, decay_steps=800, kl_stop=0.05,
+    )  # fmt: skip
+    config = replace(config, learner=learner)
+    turns(store, config, arena, 2)
+    trainer = turns(store, config, arena, 1)  # which knows of the first two what the store says
+    assert trainer.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (40,)
+    kept, points = store.checkpoint(LEAGUE, "blue"), store.curves(LEAGUE, "blue")
+    state = arrays.from_bytes(store.blobs.get(kept.digest))
+    assert kept.iteration == len(points) == 2
+    assert 0 < state["steps"] < kept.step  # it learns from its own worlds alone, not from red's against the past
+    assert [p.values["lr"] for p in points] == pytest.approx([1e-3, 1e-3 * (1 - state["steps"] / 2 / 800)])
+
+
+def test_in_leapfrog_one_learns_while_the_others_actors_stay_byte_for_byte(store, arena):
+    turns(store, settings(Schedule("leapfrog", period=2)), arena, 5)
+    learnt = {player: i for player, (i, _) in ends(store).items()}
+    assert learnt == {"blue": 2, "red": 2}
+    of_blue = {s.iteration: s.digest for s in store.snapshots(LEAGUE, "blue")}
+    assert set(of_blue) == {0, 1, 2}
+    rows = [c for c in store.checkpoints(LEAGUE) if c.player == "blue" and c.iteration == 2]
+    states = [arrays.from_bytes(store.blobs.get(c.digest)) for c in rows]
+    for state in states:
+        np.testing.assert_array_equal(state["actor.0.mean.weight"], states[0]["actor.0.mean.weight"])
+    assert len(states) > 1  # its critic went on learning while it rested
+    assert any((states[-1]["critic.value.weight"] != states[0]["critic.value.weight"]).ravel())
+
+
+def test_where_resting_critics_stand_still_a_resting_player_leaves_no_checkpoint(store, arena):
+    turns(store, settings(Schedule("leapfrog", period=2), resting_critics=False), arena, 5)
+    rows = Counter((c.player, c.iteration) for c in store.checkpoints(LEAGUE))
+    assert set(rows.values()) == {1}
 
 
 def test_a_frozen_opponent_never_changes(store, arena):
-    trainer = turns(store, settings(Schedule("frozen", learner=1)), arena, 4)
+    turns(store, settings(Schedule("frozen", learner=1), resting_critics=False), arena, 4)
     assert {player for player, iteration, _ in history(store) if iteration} == {"red"}
-    start = next(d for player, iteration, d in history(store) if player == "blue")
-    for name, array in arrays.from_bytes(store.blobs.get(start)).items():
-        np.testing.assert_array_equal(trainer.learners[0].state()[name], array, err_msg=name)
 
 
 def test_past_opponents_are_met_by_learners_that_learn_on(store, arena):
     config = settings(opponents=Opponents("uniform", past=0.5, groups=2))
     turns(store, config, arena, 4)
     assert store.checkpoint(LEAGUE, "blue").iteration == 4
-    # six groups share 16 worlds: two each, so that 12 are simulated
-    assert store.checkpoint(LEAGUE, "blue").step == (4 - 0) * 12 * 8
+    assert store.curves(LEAGUE, "blue")[-1].values["past_share"] == 0.5
+    # three groups share 16 worlds: five each, so that 15 are simulated
+    assert store.checkpoint(LEAGUE, "blue").step == 4 * 15 * 8
+
+
+def test_worlds_whose_opponent_changed_begin_anew_and_it_is_counted(store, arena):
+    config = replace(
+        settings(opponents=Opponents("uniform", past=0.5, groups=4)), deterministic=False,
+        budget=configuration.Budget(),
+    )  # fmt: skip
+    trainer = turns(store, config, arena, 6)  # to iterations 1, 2, 4, 8, 12
+    share = {p.iteration: p.values["begun_anew"] for p in store.curves(LEAGUE, "blue")}
+    assert any(0 < s < 1 for s in share.values())  # past groups, not those of present opponents
+    assert {share[i] for i in (6, 7, 8, 10, 11, 12)} == {0}  # once a turn, at its start
+    ((worlds, seats),) = trainer._worlds.values()
+    assert len(seats) == 6
+    assert len(worlds.age) == 12
 
 
 def test_a_worker_that_takes_over_goes_on_to_the_same_bytes(store, arena, tmp_path):
     turns(store, settings(), arena, 3)
     turns(store, settings(), arena, 2)  # a fresh trainer, as after a kill
     with Store.open(tmp_path / "other", create=True) as other:
-        other.create_league(League(LEAGUE, ArenaKey("sumo-1v1", "0", "c"), ""))
+        other.create_league(League(LEAGUE, ""))
         other.add_players(store.players(LEAGUE))
         turns(other, settings(), arena, 5)
-        assert history(other) == history(store)
+        assert ends(other) == ends(store)
 
 
 def test_a_spent_budget_freezes_what_was_learnt_last(store, arena):
     config = replace(settings(), budget=configuration.Budget(steps=5 * 16 * 8))
     turns(store, config, arena, 5)
     assert [s.iteration for s in store.snapshots(LEAGUE, "blue")] == [0, 1, 2, 4, 5]
-    assert next_turn(config, Standing.of(store, LEAGUE)) is None
+    assert not plan.next_turns(config, Standing.of(store, LEAGUE)).jobs
+
+
+def test_a_turn_from_checkpoints_that_are_no_longer_the_newest_is_refused(store, arena):
+    config = settings()
+    turns(store, config, arena, 2)
+    slow = Trainer(config, arena, store.players(LEAGUE), 16)
+    lease, turn = claim(store, config)
+    for _ in slow.turn(store, turn, lambda: False):
+        pass
+    store.release(lease)  # taken for dead: somebody else does the turn
+    turns(store, config, arena, 1)
+    after = ends(store)
+    store.queue([_again(turn)])
+    again, _ = store.claim(LEAGUE, ["train"], "slow", 60)
+    with pytest.raises(LeaseLost):
+        slow.commit(store, again, turn)
+    assert ends(store) == after
+
+
+def _again(turn):
+    from league.jobs import encode
+
+    return encode(LEAGUE, turn, "the same turn under another key")
+
+
+def test_players_of_other_network_widths_learn_and_meet_in_one_batch(store, arena):
+    config = replace(
+        settings(opponents=Opponents("uniform", past=0.5, groups=4)),
+        players=(
+            PlayerSettings("blue"), PlayerSettings("red"),
+            PlayerSettings("blue", "blue-wide", group="2", hidden=(32, 32)),
+            PlayerSettings("red", "red-wide", group="2", hidden=(32, 32)),
+        ),
+    )  # fmt: skip
+    wide = [Player(LEAGUE, f"{t.name}-wide", i, "main", t.roster, "2") for i, t in enumerate(arena.teams)]
+    store.add_players(wide)
+    trainer = turns(store, config, arena, 8)
+    assert {name: i for name, (i, _) in ends(store).items()} == dict.fromkeys(ends(store), 4)
+    widths = {
+        name: learner.state()["actor.0.trunk.hidden.0.weight"].shape[0] for name, learner in trainer.learners.items()
+    }
+    assert widths == {"blue": 64, "red": 64, "blue-wide": 32, "red-wide": 32}
+    first = {s.player: s.digest for s in store.snapshots(LEAGUE) if s.initial}
+    assert len(set(first.values())) == 4
+
+
+def test_a_nan_in_an_actor_is_noticed_at_once_and_nothing_is_written(store, arena):
+    config = settings()
+    trainer = turns(store, config, arena, 3)
+    before = ends(store)
+    actor = trainer.learners["red"].actors[0]
+    actor.mean.bias.data[:] = float("nan")
+    lease, turn = claim(store, config)
+    with pytest.raises(PlayerDiverged, match="red diverged"):
+        for _ in trainer.turn(store, turn, lambda: False):
+            pass
+    assert ends(store) == before
+    store.setback(lease, "red", "red diverged")
+    assert next(p for p in store.players(LEAGUE) if p.name == "red").setbacks == 1
+    turns(store, config, arena, 1)  # back at the checkpoint, other dice, and on
+    assert ends(store)["red"][0] > before["red"][0]
+    assert next(p for p in store.players(LEAGUE) if p.name == "red").setbacks == 0
+
+
+def test_at_the_second_setback_in_a_row_a_player_is_paused_and_the_other_learns_on(store, arena):
+    config = settings()
+    turns(store, config, arena, 2)
+    for _ in range(2):
+        lease, _ = claim(store, config)
+        store.setback(lease, "red", "red diverged: entropy is nan")
+    red = next(p for p in store.players(LEAGUE) if p.name == "red")
+    assert red.paused == "red diverged: entropy is nan"
+    before = ends(store)
+    turns(store, config, arena, 1)
+    after = ends(store)
+    assert after["red"] == before["red"]
+    assert after["blue"][0] > before["blue"][0]

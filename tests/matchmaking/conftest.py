@@ -9,10 +9,14 @@ from storage.records import ArenaKey, Match, PairCounts
 SUMO = ArenaKey("sumo", "c0ffee", "c")
 
 
-def make_match(a: str, b: str, home=(0, 0, 0), away=(0, 0, 0), pairs=(0, 0, 0, 0, 0), voids=0, arena=SUMO) -> Match:
-    """Counts are A's: `home` while A played team 0, `away` while B did."""
+def make_match(
+    a: str, b: str | None, home=(0, 0, 0), away=(0, 0, 0), pairs=(0, 0, 0, 0, 0), voids=0, blame=(0, 0), arena=SUMO
+) -> Match:
+    """Counts are A's: `home` while A played team 0, `away` while B did. `blame`: voids_a and voids_b."""
     totals = tuple(h + w for h, w in zip(home, away, strict=True))
-    return Match("test", arena, a, b, *totals, voids, *home, PairCounts(*pairs), seed=0)
+    return Match(
+        "test", arena, a, b, *totals, voids, *home, PairCounts(*pairs), seed=0, voids_a=blame[0], voids_b=blame[1]
+    )
 
 
 def play(a: str, b: str, gap: float, n: int, rng: np.random.Generator, nu=0.6, side=0.3, copied=0.0) -> Match:

@@ -45,6 +45,26 @@ def test_the_configuration_picks_the_weights():
     assert chosen.weights(2).tolist() == [0.5, 0.5]
 
 
+@pytest.mark.parametrize("groups", [2, 3, 8, 10])
+@pytest.mark.parametrize("past", [0.0, 0.01, 0.2, 0.5, 0.8, 0.99, 1.0])
+def test_the_groups_follow_the_share_to_within_one_of_them(past, groups):
+    opponents = Opponents(past=past, groups=groups)
+    split = opponents.split()
+    assert opponents.true_share == split.past / sum(split)
+    assert abs(opponents.true_share - past) <= 1 / groups
+    assert (split.past > 0) == (past > 0)
+    assert (split.present > 0) == (past < 1)
+    assert sum(split) == groups or split == (1, 0)
+
+
+def test_a_large_share_of_few_groups_leaves_a_present_one():
+    # Until this was a share of all groups, past = 0.8 with one past group gave 100 %.
+    assert Opponents("uniform", past=0.8, groups=5).split() == (1, 4)
+    assert Opponents("uniform", past=0.8, groups=2).split() == (1, 1)
+    assert Opponents("uniform", past=1.0, groups=3).split() == (0, 3)
+    assert Opponents().split() == (1, 0)
+
+
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
@@ -52,6 +72,7 @@ def test_the_configuration_picks_the_weights():
         ({"past": 1.5}, "between 0 and 1"),
         ({"kind": "delta_uniform", "past": 0.5, "delta": -0.1}, "between 0 and 1"),
         ({"groups": 0}, "1 or more"),
+        ({"kind": "uniform", "past": 0.5, "groups": 1}, "2 or more, for present and past"),
         ({"kind": "uniform", "past": 0.2, "delta": 0.5}, "use kind = 'delta_uniform'"),
         ({"kind": "uniform"}, "give past > 0"),
     ],

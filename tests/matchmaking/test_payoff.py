@@ -20,9 +20,9 @@ def test_counts_are_seen_from_both_sides(match):
 
 
 def test_a_match_told_from_the_other_side_is_the_same_match(match):
-    told = tally([match("a", "b", home=(5, 1, 2), away=(3, 0, 5), pairs=(1, 2, 3, 0, 1), voids=4)])
-    retold = tally([match("b", "a", home=(5, 0, 3), away=(2, 1, 5), pairs=(1, 0, 3, 2, 1), voids=4)])
-    for counts in ("names", "first", "second", "home", "away", "pairs", "voids"):
+    told = tally([match("a", "b", home=(5, 1, 2), away=(3, 0, 5), pairs=(1, 2, 3, 0, 1), voids=4, blame=(3, 1))])
+    retold = tally([match("b", "a", home=(5, 0, 3), away=(2, 1, 5), pairs=(1, 0, 3, 2, 1), voids=4, blame=(1, 3))])
+    for counts in ("names", "first", "second", "home", "away", "pairs", "voids", "culprits"):
         assert np.array_equal(getattr(told, counts), getattr(retold, counts)), counts
 
 
@@ -42,6 +42,41 @@ def test_listed_players_have_a_place_and_selfplay_is_left_out(match):
     assert payoff.score("a", "b")[1:] == (0, 1, 0)
 
 
+def test_a_score_is_pooled_over_several_opponents_seed_pairs_included(match):
+    log = [
+        match("b", "a", home=(6, 0, 2), away=(5, 0, 3), pairs=(0, 0, 5, 0, 3)),
+        match("b", "c", home=(2, 4, 2), away=(1, 1, 6), pairs=(1, 3, 2, 2, 0)),
+        match("c", "a", home=(8, 0, 0), away=(8, 0, 0), pairs=(0, 0, 0, 0, 8)),
+    ]
+    payoff = tally(log)
+    pooled = payoff.score("b", "a", "c")
+    assert pooled.score == (11 + 3 + 5 / 2) / 32
+    assert (pooled.low, pooled.high) == pytest.approx(score_interval(14, 5, 13, np.array([1, 3, 7, 2, 3])))
+    assert payoff.score("b", "c", "a", "c") == pooled
+    assert payoff.score("b").games == 0
+
+
+def test_trials_of_one_team_are_no_pairs(match):
+    log = [match("a", None, home=(5, 1, 2), voids=3, blame=(2, 0)), match("b", None, home=(1, 0, 0))]
+    payoff = tally([*log, log[0]], players=["c"])
+    assert payoff.trials.tolist() == [[10, 6, 6, 4], [1, 0, 0, 0], [0, 0, 0, 0]]
+    assert not payoff.games.any()
+
+
+def test_a_log_summed_in_parts_is_the_log_summed_at_once(match, simulate):
+    rng = np.random.default_rng(0)
+    log = [simulate(a, b, 0.3, 8, rng) for a, b in (("m", "k"), ("k", "z"), ("a", "z"), ("z", "m"), ("m", "k"))]
+    log += [match("k", None, home=(1, 0, 2)), match("b", "m", voids=3, blame=(1, 1))]
+    for cut in range(len(log) + 1):
+        before = tally(log[:cut], players=["c"])
+        assert before.arena == (log[0].arena if cut else None)
+        parts, whole = tally(log[cut:], players=["d"], onto=before), tally(log, players=["c", "d"])
+        for name in ("names", "first", "second", "home", "away", "pairs", "voids", "culprits", "trials", "arena"):
+            assert np.array_equal(getattr(parts, name), getattr(whole, name)), name
+    with pytest.raises(ValueError, match="2 arenas"):
+        tally([replace(log[0], arena=log[0].arena._replace(engine="warp"))], onto=before)
+
+
 def test_an_empty_log_is_an_empty_payoff():
     assert tally([]).games.shape == (0, 0)
 
@@ -52,7 +87,9 @@ def test_matches_of_two_arenas_are_refused(match):
         tally([sumo, replace(sumo, arena=sumo.arena._replace(engine="warp"))])
 
 
-@pytest.mark.parametrize("wrong", [{"side_wins": 3}, {"voids": -1}, {"pairs": (0, 0, 2, 0, 0)}])
+@pytest.mark.parametrize(
+    "wrong", [{"side_wins": 3}, {"voids": -1}, {"pairs": (0, 0, 2, 0, 0)}, {"voids_b": 1}, {"voids": 2, "voids_a": -1}]
+)
 def test_counts_that_contradict_each_other_are_refused(match, wrong):
     with pytest.raises(ValueError, match="contradicts itself"):
         tally([replace(match("a", "b", home=(1, 0, 0), away=(1, 0, 1)), **wrong)])

@@ -3,29 +3,91 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from matchmaking.payoff import tally
-from matchmaking.schedule import Schedule, learners, next_due, next_swap, pairings
+from matchmaking.ladder import Ladder
+from matchmaking.schedule import Schedule, first_phase, iterations_left, next_due, next_phase, pairings
+
+TEAMS = {0: "blue", 1: "red", 2: "gold"}
 
 
-def test_leapfrog_takes_turns():
+def begin(schedule, able=TEAMS, at=0):
+    return first_phase(schedule, "cup", "1", able, {name: at for name in TEAMS.values()})
+
+
+def live(schedule, rounds, able=TEAMS, phase=None, at=None):
+    """The learners of each iteration, all of them learning by their own counts."""
+    at = dict.fromkeys(TEAMS.values(), 0) if at is None else at
+    phase, seen = phase or first_phase(schedule, "cup", "1", able, at), []
+    for _ in range(rounds):
+        phase = next_phase(schedule, phase, able, at) or phase
+        seen.append("+".join(phase.learners))
+        at |= {name: at[name] + 1 for name in phase.learners}
+    return seen, phase
+
+
+def test_leapfrog_takes_turns_by_the_learners_own_iterations():
     schedule = Schedule("leapfrog", period=2, learner=1)
-    assert [learners(schedule, i, 3) for i in range(8)] == [(1,), (1,), (2,), (2,), (0,), (0,), (1,), (1,)]
+    seen, phase = live(schedule, 8)
+    assert seen == ["red", "red", "gold", "gold", "blue", "blue", "red", "red"]
+    assert (phase.number, phase.until) == (3, {"iterations": 2})
+    assert phase.since == {"blue": 2, "red": 2, "gold": 2}
+    assert iterations_left(phase, {"red": 3}) == 1
+
+
+def test_a_phase_counts_from_where_its_learner_stood():
+    schedule = Schedule("leapfrog", period=5)
+    phase = begin(schedule, at=37)
+    assert next_phase(schedule, phase, TEAMS, {"blue": 41, "red": 90, "gold": 0}) is None
+    after = next_phase(schedule, phase, TEAMS, {"blue": 42, "red": 90, "gold": 0})
+    assert after is not None
+    assert (after.learners, after.since["red"]) == (("red",), 90)
 
 
 def test_simultaneous_and_frozen_never_change():
-    assert [learners(Schedule(), i, 2) for i in (0, 99)] == [(0, 1)] * 2
-    assert [learners(Schedule("frozen", learner=1), i, 2) for i in (0, 99)] == [(1,)] * 2
-    assert next_swap(Schedule(), 7) is next_swap(Schedule("frozen"), 7) is None
+    for schedule, learners in ((Schedule(), "blue+red+gold"), (Schedule("frozen", learner=1), "red")):
+        seen, phase = live(schedule, 99)
+        assert set(seen) == {learners}
+        assert (phase.number, phase.until, iterations_left(phase, {})) == (0, {}, None)
 
 
-def test_next_swap_is_where_the_learners_next_change():
-    schedule = Schedule("leapfrog", period=3)
-    for i in range(12):
-        swap = next_swap(schedule, i)
-        assert swap is not None
-        assert swap > i
-        assert len({learners(schedule, k, 2) for k in range(i, swap)}) == 1
-        assert learners(schedule, swap, 2) != learners(schedule, i, 2)
+def test_who_is_paused_never_learns_and_the_phase_passes_on():
+    schedule = Schedule("leapfrog", period=2)
+    at = dict.fromkeys(TEAMS.values(), 0)
+    _, phase = live(schedule, 3, at=at)
+    assert phase.learners == ("red",)  # after one of its two iterations
+    able = {0: "blue", 2: "gold"}
+    seen, phase = live(schedule, 5, able, phase, at)
+    assert seen == ["gold", "gold", "blue", "blue", "gold"]
+    seen, phase = live(schedule, 7, TEAMS, phase, at)
+    assert seen == ["gold", "blue", "blue", "red", "red", "gold", "gold"]
+    assert begin(schedule, able={1: "red", 2: "gold"}).learners == ("red",)
+
+
+@pytest.mark.parametrize("schedule", [Schedule(), Schedule("leapfrog"), Schedule("frozen")])
+def test_where_nobody_can_learn_the_phase_waits_for_somebody(schedule):
+    resting = next_phase(schedule, begin(schedule), {}, dict.fromkeys(TEAMS.values(), 1))
+    assert resting is not None
+    assert resting.learners == ()
+    assert next_phase(schedule, resting, {}, dict.fromkeys(TEAMS.values(), 1)) is None
+    awake = next_phase(schedule, resting, TEAMS, dict.fromkeys(TEAMS.values(), 1))
+    assert awake is not None
+    assert (awake.number, awake.learners) == (2, begin(schedule).learners)
+
+
+def test_other_settings_begin_another_phase():
+    leaping, at = begin(Schedule("leapfrog")), dict.fromkeys(TEAMS.values(), 3)
+    together = next_phase(Schedule(), leaping, TEAMS, at)
+    assert together is not None
+    assert (together.number, together.learners, together.until) == (1, ("blue", "red", "gold"), {})
+    again = next_phase(Schedule("leapfrog", learner=2), together, TEAMS, at)
+    assert again is not None
+    assert again.learners == ("gold",)
+
+
+def test_a_player_that_went_back_learns_what_it_lost_again():
+    schedule = Schedule("leapfrog", period=4)
+    phase = begin(schedule, at=10)
+    assert iterations_left(phase, {"blue": 8}) == 6
+    assert next_phase(schedule, phase, TEAMS, {"blue": 8, "red": 10, "gold": 10}) is None
 
 
 @pytest.mark.parametrize(
@@ -34,11 +96,6 @@ def test_next_swap_is_where_the_learners_next_change():
 def test_schedules_that_cannot_be_meant_are_refused(fields, says):
     with pytest.raises(ValueError, match=says):
         Schedule(**fields)
-
-
-def test_a_learner_beyond_the_teams_is_refused():
-    with pytest.raises(ValueError, match="teams are 0 to 1"):
-        learners(Schedule("frozen", learner=2), 0, 2)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +115,7 @@ def test_next_due_is_exact_far_out():
 
 def test_no_pairing_twice_in_a_batch_nor_against_oneself():
     names = [f"s{i}" for i in range(6)]
-    plan = pairings(tally([], players=names), names, quota=10, per_batch=100)
+    plan = pairings(Ladder(names, []), names, quota=10, per_batch=100)
     assert len(plan) == 15  # all there are
     assert len({frozenset(pair) for pair in plan}) == 15
     assert all(a != b for a, b in plan)
@@ -67,16 +124,16 @@ def test_no_pairing_twice_in_a_batch_nor_against_oneself():
 def test_everything_plays_something_before_anything_plays_much(match):
     names = [f"s{i}" for i in range(9)]
     busy = [match("s0", "s1", home=(30, 0, 30), away=(30, 0, 30))]
-    plan = pairings(tally(busy, players=names), names, quota=10, per_batch=4)
+    plan = pairings(Ladder(names, busy), names, quota=10, per_batch=4)
     assert {name for pair in plan for name in pair} >= set(names[2:])
 
 
 def test_a_plan_is_carried_out_to_its_end(match, simulate):
     names, log, rng = [f"s{i}" for i in range(5)], [], np.random.default_rng(0)
     for _ in range(20):
-        plan = pairings(tally(log, players=names), names, quota=8, per_batch=3)
+        plan = pairings(Ladder(names, log), names, quota=8, per_batch=3)
         log += [simulate(a, b, float(int(a[1]) - int(b[1])), 4, rng) for a, b in plan]
-    games = tally(log).games
+    games = Ladder(names, log).payoff.games
     assert plan == []
     assert (games + 8 * np.eye(5) == 8).all()
 
@@ -86,8 +143,7 @@ def test_required_opponents_come_first_until_they_have_their_quota(match):
     always = {"new": ["pusher", "init"], "old": ["init"]}
 
     def first(log):
-        payoff = tally(log, players=[*names, "pusher"])
-        return pairings(payoff, names, quota=4, per_batch=1, always=always)
+        return pairings(Ladder([*names, "pusher"], log), names, quota=4, per_batch=1, always=always)
 
     old = match("init", "old", home=(2, 0, 2), away=(2, 0, 2))
     assert first([old]) == [("new", "pusher")]
@@ -102,16 +158,16 @@ def test_equals_are_preferred_to_the_far_and_the_unknown_to_the_known(match):
 
     names = ["weak", "twin", "peer", "new"]
     log = [even("twin", "weak", 49, 1), even("peer", "weak", 49, 1), even("new", "weak", 24, 1)]
-    assert pairings(tally(log, players=names), names, quota=1000, per_batch=1) == [("new", "peer")]
+    assert pairings(Ladder(names, log), names, quota=1000, per_batch=1) == [("new", "peer")]
     known = [*log, even("peer", "twin", 300, 300), even("new", "peer", 10, 10)]
     fewest = [*known, even("weak", "twin", 1, 99)]
-    assert pairings(tally(fewest, players=names), names, quota=1000, per_batch=1) == [("new", "twin")]
+    assert pairings(Ladder(names, fewest), names, quota=1000, per_batch=1) == [("new", "twin")]
 
 
 def test_only_those_who_can_meet_are_paired():
     names = ["blue0", "blue1", "red0", "red1"]
     plan = pairings(
-        tally([], players=names),
+        Ladder(names, []),
         names,
         quota=4,
         per_batch=9,
@@ -126,16 +182,26 @@ def test_the_same_arguments_give_the_same_plan_whatever_the_order_of_matches(sim
     names = [f"s{i}" for i in range(7)]
     rng = np.random.default_rng(3)
     log = [simulate(a, b, 0.0, 4, rng) for a, b in pairwise(names)]
-    plans = [pairings(tally(rows, players=names), names, quota=20, per_batch=6) for rows in (log, log[::-1], log)]
+    plans = [pairings(Ladder(names, rows), names, quota=20, per_batch=6) for rows in (log, log[::-1], log)]
     assert plans[0] == plans[1] == plans[2]
     assert len(plans[0]) == 6
 
 
 def test_a_pair_that_always_fails_is_given_up(match):
-    payoff = tally([match("a", "b", voids=50)], players=["a", "b"])
-    assert pairings(payoff, ["a", "b"], quota=50, per_batch=4) == []
+    ladder = Ladder(["a", "b"], [match("a", "b", voids=50)])
+    assert pairings(ladder, ["a", "b"], quota=50, per_batch=4) == []
 
 
 def test_a_candidate_without_a_place_is_named():
     with pytest.raises(ValueError, match="'b' is not among"):
-        pairings(tally([], players=["a"]), ["a", "b"], quota=1, per_batch=1)
+        pairings(Ladder(["a"], []), ["a", "b"], quota=1, per_batch=1)
+
+
+def test_nothing_is_fitted_once_every_pair_has_its_quota(match, monkeypatch):
+    names = [f"s{i}" for i in range(4)]
+    log = [match(a, b, home=(1, 0, 1), away=(1, 0, 1)) for i, a in enumerate(names) for b in names[:i]]
+    assert pairings(Ladder(names, log), names, quota=5, per_batch=9) != []
+    monkeypatch.setattr("matchmaking.ladder.fit", lambda *_, **__: pytest.fail("the ratings were fitted"))
+    assert pairings(Ladder(names, log), names, quota=4, per_batch=9) == []
+    apart = pairings(Ladder(names, []), names, quota=4, per_batch=9, may_meet=lambda a, b: False)
+    assert apart == []

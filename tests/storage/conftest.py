@@ -2,14 +2,37 @@ import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
-from storage.records import ArenaKey, League, Player, Snapshot
+from storage.places import BLOBS
+from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot
 from storage.store import Store
 
-SERVER = os.environ.get("TEST_DB_URL")  # e.g. postgresql+psycopg://user@host/database: runs every test there as well
+SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
+KEY = ArenaKey("sumo", "c0ffee", "c")
+
+
+def server_place() -> Iterator[str]:
+    """A URL of the test server under which everything goes into a new schema, dropped at the end."""
+    if SERVER is None:
+        pytest.skip("no PostgreSQL server: LEAGUE_TEST_DB is not set")
+    schema = f"league_test_{secrets.token_hex(6)}"
+    url = sa.make_url(SERVER).set(drivername="postgresql+psycopg")
+    server = sa.create_engine(url)
+    with server.begin() as db:
+        db.execute(sa.schema.CreateSchema(schema))
+    yield url.update_query_dict({"options": f"-csearch_path={schema}"}).render_as_string(hide_password=False)
+    with server.begin() as db:
+        db.execute(sa.schema.DropSchema(schema, cascade=True))
+    server.dispose()
+
+
+@pytest.fixture(autouse=True)
+def _no_place_from_outside(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv(BLOBS, raising=False)
 
 
 @pytest.fixture(params=["sqlite", "server"] if SERVER else ["sqlite"])
@@ -18,26 +41,43 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str,
     blobs = str(tmp_path / "store" / "blobs")
     if request.param == "sqlite":
         yield str(tmp_path / "store"), blobs
-        return
-    assert SERVER is not None
-    schema = f"league_test_{secrets.token_hex(6)}"
-    server = sa.create_engine(SERVER)
-    with server.begin() as db:
-        db.execute(sa.schema.CreateSchema(schema))
-    own = sa.make_url(SERVER).update_query_dict({"options": f"-csearch_path={schema}"})
-    yield own.render_as_string(hide_password=False), blobs
-    with server.begin() as db:
-        db.execute(sa.schema.DropSchema(schema, cascade=True))
-    server.dispose()
+    else:
+        for url in server_place():
+            yield url, blobs
+
+
+@pytest.fixture
+def server_url() -> Iterator[str]:
+    """A place for a store on PostgreSQL; the test is skipped where there is none."""
+    yield from server_place()
+
+
+def fill(store: Store) -> None:
+    """League `cup`, its players blue and red, and their first snapshots, whose bytes are their names."""
+    store.create_league(League("cup", "seed = 1"))
+    store.add_players([Player("cup", "blue", 0, "main", "ant"), Player("cup", "red", 1, "main", "ant")])
+    store.add_snapshots([snapshot(store, "blue@0", "blue"), snapshot(store, "red@0", "red")])
 
 
 @pytest.fixture
 def store(place: tuple[str, str]) -> Iterator[Store]:
-    """A store with league `cup`, its players blue and red, and their first snapshots, whose bytes are their names."""
     with Store.open(place[0], create=True, blobs=place[1]) as store:
-        store.create_league(League("cup", ArenaKey("sumo", "c0ffee", "c"), "seed = 1"))
-        store.add_players([Player("cup", "blue", 0, "main", "ant"), Player("cup", "red", 1, "main", "ant")])
-        store.add_snapshots(
-            [Snapshot(store.blobs.put(name.encode()), "cup", name, "ant", name[:-2]) for name in ("blue@0", "red@0")]
-        )
+        fill(store)
         yield store
+
+
+def snapshot(store: Store, name: str, player: str | None = "blue", **fields: object) -> Snapshot:
+    """A snapshot of league cup whose bytes, put into the store, are its name."""
+    values = {"league": "cup", "digest": store.blobs.put(name.encode()), "roster": "ant", **fields}
+    return Snapshot(name=name, player=player, **values)  # type: ignore[arg-type]
+
+
+def match(seed: int) -> Match:
+    return Match("cup", KEY, "blue@0", "red@0", 1, 0, 0, 0, 1, 0, 0, PairCounts(), seed)
+
+
+def finish_a_job(store: Store, **results: Any) -> None:
+    store.queue([Job("cup", "any", f"job {len(store.jobs('cup'))}")])
+    claimed = store.claim("cup", ["any"], "tester", seconds=60)
+    assert claimed
+    store.finish(claimed[0], **results)

@@ -1,3 +1,6 @@
+import json
+import struct
+
 import numpy as np
 import pytest
 
@@ -36,7 +39,12 @@ def test_an_array_that_cannot_be_stored_is_named(array: np.ndarray):
         to_bytes({"fine": np.zeros(1), "blue/0/w": array})
 
 
-@pytest.mark.parametrize("data", [b"", b"hello", to_bytes(ARRAYS)[:-1]])
+def of_another_program() -> bytes:
+    header = json.dumps({"a": {"dtype": "BF16", "shape": [1], "data_offsets": [0, 2]}}).encode()
+    return struct.pack("<Q", len(header)) + header + b"\0\0"
+
+
+@pytest.mark.parametrize("data", [b"", b"hello", to_bytes(ARRAYS)[:-1], of_another_program()])
 def test_other_bytes_are_refused(data: bytes):
     with pytest.raises(StorageError, match="not stored arrays"):
         from_bytes(data)

@@ -1,13 +1,15 @@
 import hashlib
 import multiprocessing
 import resource
+import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from storage.blobs import open_blobs
-from storage.errors import DamagedBlob, StorageError
+from storage.errors import Away, DamagedBlob, StorageError
 
 DATA = b"a policy"
 DIGEST = hashlib.sha256(DATA).hexdigest()
@@ -56,10 +58,16 @@ def test_only_a_hash_is_a_name(tmp_path: Path, name: str):
         open_blobs(tmp_path).get(name)
 
 
-@pytest.mark.parametrize("url", ["s3://bucket/blobs", "file://another.host/blobs"])
+@pytest.mark.parametrize("url", ["s3://bucket/blobs", "file://another.host/blobs", "s3:bucket", "file:blobs"])
 def test_an_unknown_place_says_what_is_possible(url: str):
     with pytest.raises(StorageError, match=f"{url}.*folder path"):
         open_blobs(url)
+
+
+def test_a_key_in_a_place_is_not_told():
+    with pytest.raises(StorageError, match=r"Cannot keep blobs at 's3://\*\*\*@bucket/blobs'") as caught:
+        open_blobs("s3://name:secret@bucket/blobs?password=secret")
+    assert "secret" not in str(caught.value)
 
 
 def test_a_disk_that_takes_no_more_leaves_no_file(tmp_path: Path):
@@ -72,6 +80,39 @@ def test_a_disk_that_takes_no_more_leaves_no_file(tmp_path: Path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert files(tmp_path) == []
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of one megabyte."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)], capture_output=True, text=True)
+    if done.returncode != 0:
+        pytest.skip(f"no disk can be mounted here: {done.stderr.strip()}")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def test_a_full_disk_is_waited_for(small_disk: Path):
+    blobs = open_blobs(small_disk / "blobs")
+    blobs.put(DATA)
+    (small_disk / "film").write_bytes(bytes(900_000))
+    with pytest.raises(Away, match=r"Cannot write a blob of 500000 bytes.*No space left on device; wait and try again"):
+        blobs.put(bytes(500_000))
+    assert len(files(small_disk)) == 2
+    (small_disk / "film").unlink()
+    assert blobs.get(blobs.put(bytes(500_000))) == bytes(500_000)
+
+
+def test_a_disk_that_is_not_mounted_is_waited_for_and_its_blobs_are_not_called_lost(tmp_path: Path):
+    blobs = open_blobs(tmp_path / "disk")
+    blobs.put(DATA)
+    (tmp_path / "disk").rename(tmp_path / "unplugged")
+    with pytest.raises(Away, match=r"folder of blobs is not there.*disk; wait and try again"):
+        blobs.get(DIGEST)
+    (tmp_path / "unplugged").rename(tmp_path / "disk")
+    assert blobs.get(DIGEST) == DATA
 
 
 def test_a_place_below_a_file_is_refused(tmp_path: Path):

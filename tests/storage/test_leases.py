@@ -1,25 +1,23 @@
 """Jobs and leases: what is claimed, by whom, and that a result is written exactly once; for every database."""
 
+import math
 import multiprocessing
 import os
 import signal
 import time
+from dataclasses import replace
 from multiprocessing.synchronize import Event
 
 import pytest
+import sqlalchemy as sa
 
+from storage import tables
 from storage.errors import LeaseLost, StorageError
-from storage.records import ArenaKey, Checkpoint, Job, Lease, Match, PairCounts, Snapshot
+from storage.records import Checkpoint, CurvePoint, Job, League, Lease
 from storage.store import Store
+from tests.storage.conftest import match, snapshot
 
 SPAWN = multiprocessing.get_context("spawn")
-
-
-def match(store: Store, seed: int) -> Match:
-    blue, red = store.snapshots("cup", "blue")[0], store.snapshots("cup", "red")[0]
-    return Match(
-        "cup", ArenaKey("sumo", "c0ffee", "c"), blue.digest, red.digest, 1, 0, 0, 0, 1, 0, 0, PairCounts(), seed
-    )
 
 
 def job(key: str, kind: str = "match", priority: int = 0) -> Job:
@@ -65,6 +63,7 @@ def test_a_lease_is_ours_until_somebody_else_claims_the_job(store: Store):
     assert not store.renew(lease, 60)
     assert not store.release(lease)
     assert not store.fail(lease, "late")
+    assert not store.setback(lease, "blue", "late")
     assert store.jobs("cup") == [claimed]
     assert store.renew(second, 60)
 
@@ -72,12 +71,14 @@ def test_a_lease_is_ours_until_somebody_else_claims_the_job(store: Store):
 def test_an_expired_lease_may_finish_if_nobody_took_over(store: Store):
     store.queue([job("a")])
     lease, _ = take(store, seconds=-1)
-    store.finish(lease, matches=[match(store, 7)])
+    store.finish(lease, matches=[match(7)])
     assert [j.state for j in store.jobs("cup")] == ["done"]
     assert [m.seed for m in store.matches("cup")] == [7]
 
 
-@pytest.mark.parametrize("how", ["finished", "failed", "released and claimed again", "expired and claimed again"])
+@pytest.mark.parametrize(
+    "how", ["finished", "set back", "failed", "released and claimed again", "expired and claimed again"]
+)
 def test_a_stale_lease_writes_nothing(store: Store, how: str):
     store.queue([job("a")])
     lease, _ = take(store, "me", seconds=-1 if "expired" in how else 3600)
@@ -85,56 +86,105 @@ def test_a_stale_lease_writes_nothing(store: Store, how: str):
         store.finish(lease)
     elif how == "failed":
         assert store.fail(lease, "broke")
+    elif how == "set back":
+        assert store.setback(lease, "blue", "its loss is nan")
     else:
         assert "expired" in how or store.release(lease)
         take(store, "me")  # the same holder: only the attempt tells the leases apart
-    before = store.jobs("cup")
+    before, revision = store.jobs("cup"), store.revision("cup")
     late = Checkpoint("cup", "blue", store.blobs.put(b"late"), 1, 1, 1.0)
     with pytest.raises(LeaseLost, match=r"Job 1 is no longer held by me .attempt 1."):
-        store.finish(lease, checkpoints=[late], matches=[match(store, 1)], jobs=[job("b")])
+        store.finish(lease, checkpoints=[late], matches=[match(1)], jobs=[job("b")])
     assert store.jobs("cup") == before
+    assert store.revision("cup") == revision
     assert store.checkpoints("cup") == []
     assert store.matches("cup") == []
 
 
-@pytest.mark.parametrize("bad", ["match", "snapshot", "job"])
+@pytest.mark.parametrize("bad", ["match", "snapshot", "job", "curve"])
 def test_a_result_is_written_whole_or_not_at_all(store: Store, bad: str):
+    store.create_league(League("other", ""))
     store.queue([job("a")])
     lease, _ = take(store)
-    before = store.jobs("cup")
-    digest = store.blobs.put(b"blue@1")
-    snapshots = [Snapshot(digest, "cup", "blue@1", "ant", "blue")]
-    matches, follow_up = [match(store, 1)], [job("b")]
-    checkpoints = [Checkpoint("cup", "blue", digest, 1, 1, 1.0)]
-    last_rows = {
-        "match": (snapshots, [*matches, Match(**{**vars(match(store, 2)), "b": "f" * 64})], follow_up),
-        "snapshot": ([*snapshots, Snapshot(digest, "nowhere", "blue@1", "ant")], matches, follow_up),
-        "job": (snapshots, matches, [*follow_up, Job("nowhere", "match", "c")]),
+    before, revision = store.jobs("cup"), store.revision("cup")
+    good: dict[str, list] = {
+        "checkpoints": [Checkpoint("cup", "blue", store.blobs.put(b"blue@1"), 1, 1, 1.0)],
+        "snapshots": [snapshot(store, "blue@1")],
+        "matches": [match(1)],
+        "curves": [CurvePoint("cup", "blue", 1, 64, 0.5, {"entropy": 1.0})],
+        "jobs": [job("b")],
     }
-    given = last_rows[bad]
-    with pytest.raises(StorageError, match="names a league, player or snapshot that is not there"):
-        store.finish(lease, checkpoints=checkpoints, snapshots=given[0], matches=given[1], jobs=given[2])
-    assert store.jobs("cup") == before
+    wrong, complaint = {
+        "match": ({"matches": [replace(match(2), b="ghost")]}, "names a league, player or snapshot that is not there"),
+        "snapshot": ({"snapshots": [replace(snapshot(store, "x"), player="ghost")]}, "names a league, player"),
+        "job": ({"jobs": [replace(job("c"), league="other")]}, "of league 'cup' has a result for league 'other'"),
+        "curve": ({"curves": [CurvePoint("cup", "blue", 2, 1, 1.0, {"ratio": math.nan})]}, "ratio of blue .* is nan"),
+    }[bad]
+    with pytest.raises(StorageError, match=complaint):
+        store.finish(lease, **{name: [*rows, *wrong.get(name, [])] for name, rows in good.items()})
+    assert (store.jobs("cup"), store.revision("cup")) == (before, revision)
     assert len(store.snapshots("cup")) == 2
-    assert store.checkpoints("cup") == []
-    assert store.matches("cup") == []
-    store.finish(lease, checkpoints=checkpoints, snapshots=snapshots, matches=matches, jobs=follow_up)
+    assert store.checkpoints("cup") == store.matches("cup") == store.curves("cup") == []
+    store.finish(lease, **good)
     assert [(j.key, j.state) for j in store.jobs("cup")] == [("a", "done"), ("b", "queued")]
     assert len(store.snapshots("cup")) == 3
-    assert len(store.checkpoints("cup")) == len(store.matches("cup")) == 1
+    assert len(store.checkpoints("cup")) == len(store.matches("cup")) == len(store.curves("cup")) == 1
+    assert [m.id for m in store.matches("cup")] == [1]  # what was refused has used no number
 
 
-def test_a_failed_job_waits_for_a_person(store: Store):
+def test_a_failed_job_is_tried_again_later_and_then_set_aside(store: Store):
+    store.queue([job("bad"), job("good")])
+    waits = []
+    for n in (1, 2):
+        lease, claimed = take(store)
+        assert claimed.key == "bad"
+        before = store.now()
+        assert store.fail(lease, f"error {n}", tries=3, wait=1000)
+        (waiting,) = [j for j in store.jobs("cup") if j.key == "bad"]
+        assert (waiting.state, waiting.failures, waiting.error, waiting.holder) == ("queued", n, f"error {n}", None)
+        waits.append((waiting.not_before - before) / 1000)
+        other, claimed = take(store)
+        assert claimed.key == "good"  # the league goes on without it
+        assert store.claim("cup", ["match"], "me", 60) is None
+        assert store.release(other)
+        with store._db.writing() as db:  # the wait is over
+            db.execute(sa.update(tables.jobs).values(not_before=0.0))
+    assert [round(wait, 1) for wait in waits] == [1.0, 2.0]
+    lease, _ = take(store)
+    assert store.fail(lease, "error 3", tries=3, wait=1000)
+    (aside,) = store.jobs("cup", state="failed")
+    assert (aside.key, aside.failures, aside.error) == ("bad", 3, "error 3")
+    assert take(store)[1].key == "good"
+    assert store.claim("cup", ["match"], "me", 60) is None
+
+
+def test_an_error_that_is_no_text_is_kept_as_far_as_it_is(store: Store):
+    store.queue([job("a"), job("b")])
+    assert store.fail(take(store)[0], "in file \udcff\x00.py\nline 2", tries=1)
+    assert store.setback(take(store)[0], "blue", "loss \udcff\x00", limit=0)
+    assert [j.error for j in store.jobs("cup")] == ["in file ??.py\nline 2", "loss ??"]
+    assert store.players("cup")[0].paused == "loss ??"
+
+
+def test_a_job_that_failed_once_and_is_done_has_no_error(store: Store):
+    store.queue([job("a")])
+    assert store.fail(take(store)[0], "the store was away", wait=0.0)
+    store.finish(take(store)[0])
+    (done,) = store.jobs("cup")
+    assert (done.state, done.error, done.failures) == ("done", None, 1)
+
+
+def test_a_job_set_aside_waits_for_a_person(store: Store):
     store.queue([job("a")])
     lease, claimed = take(store)
     assert not store.requeue(claimed.id)  # it has not failed
-    assert store.fail(lease, "sumo.py: the ring is missing")
+    assert store.fail(lease, "sumo.py: the ring is missing", tries=1)
     (failed,) = store.jobs("cup", state="failed")
     assert (failed.error, failed.holder) == ("sumo.py: the ring is missing", None)
     assert store.claim("cup", ["match"], "me", 60) is None
     assert store.requeue(failed.id)
     (queued,) = store.jobs("cup", state="queued")
-    assert queued.error is None
+    assert (queued.error, queued.failures) == (None, 0)
     assert take(store)[1].attempt == 2
 
 
@@ -160,7 +210,7 @@ def work_until_done(where: str, blobs: str, holder: str, start: Event) -> None:
             assert store.renew(lease, 600)
             seed = taken.payload["seed"]
             follow_up = [job("x" * (seed + 20))] if seed <= 20 else []
-            store.finish(lease, matches=[match(store, seed)], jobs=follow_up)
+            store.finish(lease, matches=[match(seed)], jobs=follow_up)
 
 
 def test_eight_processes_finish_each_of_forty_jobs_once(store: Store, place: tuple[str, str]):
@@ -201,6 +251,6 @@ def test_the_job_of_a_killed_worker_goes_to_another(store: Store, place: tuple[s
     assert heir is not None
     assert held.lease_until is not None
     assert store.now() > held.lease_until
-    store.finish(heir[0], matches=[match(store, 1)])
+    store.finish(heir[0], matches=[match(1)])
     (done,) = store.jobs("cup")
     assert (done.state, done.holder, done.attempt) == ("done", "heir", 2)

@@ -47,6 +47,7 @@ def recording(steps=40, **changes):
         score=np.cumsum(rng.integers(0, 2, (steps, 2)), axis=0),
         markers={"ring": np.stack([np.zeros(steps), np.zeros(steps), np.linspace(2, 1, steps)], 1)},
         events=[(5, "red/0 leaves the ring"), (5, "win blue"), (39, "ende ✓")],
+        terms={"win": rng.standard_normal((steps, 2)), "effort": np.full((steps, 2), -0.0)},
     )
     return Recording(**(values | changes))
 
@@ -60,7 +61,7 @@ def test_what_is_read_is_what_was_written_bit_for_bit():
     for name in ("time", "qpos", "reward", "score"):
         assert getattr(read, name).tobytes() == getattr(written, name).tobytes(), name
         assert getattr(read, name).shape == getattr(written, name).shape, name
-    for name in ("actions", "markers"):
+    for name in ("actions", "markers", "terms"):
         arrays = getattr(written, name)
         assert set(getattr(read, name)) == set(arrays)
         for key, array in arrays.items():
@@ -74,15 +75,39 @@ def test_float32_actions_come_back_with_the_same_values():
 
 def test_same_content_gives_same_bytes_whatever_the_order_of_a_dict():
     first = recording()
-    again = recording(actions=dict(reversed(recording().actions.items())))
+    again = recording(**{name: dict(reversed(getattr(first, name).items())) for name in ("actions", "terms")})
     assert to_bytes(first) == to_bytes(again)
     assert to_bytes(first) == to_bytes(from_bytes(to_bytes(first)))
 
 
+def test_an_arena_of_one_team_and_no_bodies_is_recorded_too():
+    one = dataclasses.replace(
+        *(HEADER,),
+        **{"sides": ("blue@16",), "digests": ("ab" * 32,), "teams": ("blue",), "agents": (("blue/0", "blue/1"),)},
+        **{"score": (1.0,), "marker_kinds": {}},
+    )
+    written = recording(
+        **{"header": one, "xml": "", "qpos": np.zeros((40, 0)), "reward": np.zeros((40, 1)), "score": np.ones((40, 1))},
+        **{"actions": {"blue/0": np.ones((40, 3)), "blue/1": np.zeros((40, 0))}, "markers": {}},
+        **{"events": [], "terms": {}},
+    )
+    read = from_bytes(to_bytes(written))
+    assert (read.header, read.xml, read.events) == (one, "", ())
+    assert read.qpos.shape == (40, 0)
+    assert {name: array.shape for name, array in read.actions.items()} == {"blue/0": (40, 3), "blue/1": (40, 0)}
+    np.testing.assert_array_equal(read.score, np.ones((40, 1)))
+
+
 def test_a_changed_value_changes_the_bytes():
-    qpos = recording().qpos.copy()
+    qpos, effort = recording().qpos.copy(), recording().terms["effort"].copy()
     qpos[-1, -1] = np.nextafter(qpos[-1, -1], 9)
     assert to_bytes(recording(qpos=qpos)) != to_bytes(recording())
+    effort[0, 1] = 0.0  # for -0.0
+    assert to_bytes(recording(terms=recording().terms | {"effort": effort})) != to_bytes(recording())
+
+
+def test_a_match_whose_rewards_have_no_named_terms_comes_back_without():
+    assert from_bytes(to_bytes(recording(terms={}))).terms == {}
 
 
 def test_every_damaged_byte_is_noticed():
@@ -122,6 +147,8 @@ def test_other_mcap_tools_read_the_file():
     assert [s.message.sequence for s in steps] == list(range(40))
     assert [s.message.log_time for s in steps] == [t * 20_000_000 for t in range(40)]
     assert list(steps[7].decoded_message.qpos) == recording().qpos[7].tolist()
+    assert [term.name for term in steps[7].decoded_message.terms] == ["effort", "win"]
+    assert list(steps[7].decoded_message.terms[1].values) == recording().terms["win"][7].tolist()
     assert [(e.message.log_time, e.decoded_message.text) for e in events] == [
         (100_000_000, "red/0 leaves the ring"),
         (100_000_000, "win blue"),
@@ -137,6 +164,7 @@ def test_other_mcap_tools_read_the_file():
         ({"score": np.zeros((40, 3))}, r"score has shape \(40, 3\)"),
         ({"actions": {"blue/0": np.zeros((40, 3))}}, r"the header names \['blue/0', 'blue/1', 'red/0'\]"),
         ({"markers": {}}, "ring"),
+        ({"terms": {"win": np.zeros((40, 3))}}, r"terms\['win'\] has shape \(40, 3\), expected \(40, 2\)"),
         ({"events": [(40, "too late")]}, "'too late' at step 40 of 40"),
         ({"header": dataclasses.replace(HEADER, score=(1.0,))}, "score has 1 entries for 2 teams"),
         ({"time": np.zeros(0)}, "at least one step"),

@@ -1,56 +1,61 @@
-"""Leagues, players, policies and matches; one suite for every database."""
+"""Leagues, their managers and workers, matches, curves and phases; one suite for every database."""
 
 import time
+from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
 import pytest
+import sqlalchemy as sa
 
+from storage import tables
 from storage.errors import StorageError, UnknownName
-from storage.records import ArenaKey, Checkpoint, Job, League, Match, PairCounts, Player, Snapshot
+from storage.records import (
+    CurvePoint,
+    Job,
+    League,
+    Lease,
+    Match,
+    PairCounts,
+    Phase,
+    Player,
+)
 from storage.store import Store
-
-KEY = ArenaKey("sumo", "c0ffee", "c")
-
-
-def snapshot(store: Store, name: str, league: str = "cup", player: str | None = "blue") -> Snapshot:
-    return Snapshot(store.blobs.put(name.encode()), league, name, "ant", player)
+from tests.storage.conftest import KEY, finish_a_job, match, snapshot
 
 
-def finish_a_job(store: Store, **results: list) -> None:
-    store.queue([Job("cup", "any", f"job {len(store.jobs('cup'))}")])
-    claimed = store.claim("cup", ["any"], "tester", seconds=60)
-    assert claimed
-    store.finish(claimed[0], **results)
-
-
-def distinct_match(store: Store, seed: int, purpose: str = "rating") -> Match:
+def distinct_match(seed: int, purpose: str = "rating", b: str | None = "red@0") -> Match:
     """Every number is a different one, so that two swapped columns cannot hide."""
-    blue, red = store.snapshots("cup", "blue")[0], store.snapshots("cup", "red")[0]
     counts = (11, 12, 13, 14, 5, 6, 7, PairCounts(1, 2, 3, 4, 8))
-    return Match("cup", KEY, blue.digest, red.digest, *counts, seed=seed, steps=2**40 + seed, purpose=purpose)
+    more = {"steps": 2**40 + seed, "purpose": purpose, "voids_a": 9, "voids_b": 10}
+    return Match("cup", KEY._replace(engine=f"e{seed}"), "blue@0", b, *counts, seed=seed, **more)  # type: ignore[arg-type]
 
 
 def test_making_a_league_again_keeps_its_config(store: Store):
-    again = store.create_league(League("cup", KEY, "seed = 2"))
+    again = store.create_league(League("cup", "seed = 2"))
     assert again == store.league("cup")
     assert again.config == "seed = 1"
     assert abs(again.created - store.now()) < 600
     store.set_config("cup", "seed = 2")
-    assert store.leagues() == [League("cup", KEY, "seed = 2", again.created)]
-
-
-@pytest.mark.parametrize("key", [KEY._replace(engine="warp"), KEY._replace(config_hash="beef")])
-def test_a_league_in_another_arena_names_both(store: Store, key: ArenaKey):
-    with pytest.raises(StorageError, match=f"sumo/c0ffee/c, not in {'/'.join(key)}"):
-        store.create_league(League("cup", key, ""))
+    assert store.leagues() == [League("cup", "seed = 2", again.created)]
 
 
 def test_an_unknown_league_is_told_with_the_nearest(store: Store):
-    store.create_league(League("soccer", KEY, ""))
-    for ask in (store.league, lambda name: store.set_config(name, ""), store.ask_stop):
+    store.create_league(League("soccer", ""))
+    for ask in (
+        store.league,
+        store.ask_stop,
+        store.revision,
+        lambda name: store.set_config(name, ""),
+        lambda name: store.start_run(name, "", "host", {}),
+        lambda name: store.lead(name, "me", 60),
+        lambda name: store.unlead(name, "me"),
+        lambda name: store.queue([Job(name, "match", "a")]),
+        lambda name: store.set_paused(name, "blue", None),
+        lambda name: store.add_players([Player(name, "blue", 0, "main", "ant")]),
+    ):
         with pytest.raises(UnknownName, match=r"no league 'socer'.*cup, soccer\. Did you mean 'soccer'\?"):
             ask("socer")
-    with pytest.raises(UnknownName):
-        store.start_run("socer", "", "host", {})
 
 
 def test_runs_are_kept_in_order(store: Store):
@@ -61,79 +66,125 @@ def test_runs_are_kept_in_order(store: Store):
     assert first.started <= second.started
 
 
-def test_players_are_added_once_and_never_change(store: Store):
-    blue = Player("cup", "blue", 0, "main", "ant")
-    store.add_players([blue, Player("cup", "rogue", 0, "exploiter", "ant")])
-    assert [(p.name, p.team, p.role) for p in store.players("cup")] == [
-        ("blue", 0, "main"),
-        ("rogue", 0, "exploiter"),
-        ("red", 1, "main"),
-    ]
-    with pytest.raises(StorageError, match=r"'blue' is main of team 0 .ant., not main of team 1 .ant."):
-        store.add_players([Player("cup", "green", 1, "main", "ant"), Player("cup", "blue", 1, "main", "ant")])
-    assert blue in store.players("cup")
-    assert len(store.players("cup")) == 3
+def test_a_group_has_one_phase_at_a_time(store: Store):
+    first = Phase("cup", "1", 0, ("blue",), {"blue": 0, "red": 0}, {"iterations": 50})
+    other = Phase("cup", "2", 0, ("rogue", "red-2"), {"rogue": 3})
+    assert store.queue([Job("cup", "train", "a")], [first, other]) == 1
+    assert store.queue([], [replace(first, learners=("red",))]) == 0  # the number is taken
+    kept = store.phases("cup")
+    assert {group: replace(phase, created=0.0) for group, phase in kept.items()} == {"1": first, "2": other}
+    for number in (2, 1, 10, 9):
+        store.queue([], [replace(first, number=number, learners=("red",), since={"blue": number, "red": 0})])
+    assert store.phases("cup")["1"].number == 10
+    assert store.phases("cup")["1"].since == {"blue": 10, "red": 0}
+    assert store.phases("cup")["2"] == kept["2"]
 
 
-def test_a_snapshot_is_added_once_in_each_league(store: Store):
-    store.create_league(League("other", KEY, ""))
-    scripted = snapshot(store, "script:pusher", player=None)
-    abroad = snapshot(store, "script:pusher", league="other", player=None)
-    for _ in range(2):
-        store.add_snapshots([scripted, abroad, snapshot(store, "blue@1")])
-    assert [s.name for s in store.snapshots("cup", "blue")] == ["blue@0", "blue@1"]
-    assert {s.name for s in store.snapshots("cup")} == {"blue@0", "red@0", "blue@1", "script:pusher"}
-    assert [(s.digest, s.player) for s in store.snapshots("other")] == [(scripted.digest, None)]
+def test_curves_return_by_player_and_iteration(store: Store):
+    def point(player: str, i: int, **values: float) -> CurvePoint:
+        return CurvePoint("cup", player, i, 2**40 + i, 0.25 * i, values)
 
-
-def test_a_snapshots_name_means_one_policy(store: Store):
-    changed = Snapshot(store.blobs.put(b"other bytes"), "cup", "blue@0", "ant", "blue")
-    with pytest.raises(StorageError, match="name"):
-        store.add_snapshots([changed])
-    assert len(store.snapshots("cup")) == 2
-
-
-def test_a_row_never_names_a_blob_that_is_not_there(store: Store):
-    absent = "0" * 64
-    with pytest.raises(StorageError, match=f"Blob {absent} is not in"):
-        store.add_snapshots([Snapshot(absent, "cup", "ghost", "ant")])
-    for results in (
-        {"snapshots": [Snapshot(absent, "cup", "ghost", "ant")]},
-        {"checkpoints": [Checkpoint("cup", "blue", absent, 1, 1, 1.0)]},
-        {"matches": [Match("cup", KEY, absent, absent, 1, 0, 0, 0, 1, 0, 0, PairCounts(), 1, recording=absent)]},
-    ):
-        with pytest.raises(StorageError, match=f"Blob {absent} is not in"):
-            finish_a_job(store, **results)
-    assert len(store.snapshots("cup")) == 2
-    assert store.checkpoints("cup") == []
-    assert store.matches("cup") == []
-
-
-def test_a_player_goes_on_from_its_newest_checkpoint(store: Store):
-    assert store.checkpoint("cup", "blue") is None
-    given = [
-        Checkpoint("cup", player, store.blobs.put(f"{player} {i}".encode()), 2**40 + i, i, 0.5 * i)
-        for i in (1, 2)
-        for player in ("blue", "red")
-    ]
-    for checkpoint in given:
-        finish_a_job(store, checkpoints=[checkpoint])
-    kept = store.checkpoints("cup")
-    assert [(c.player, c.digest, c.step, c.iteration, c.seconds) for c in kept] == [
-        (c.player, c.digest, c.step, c.iteration, c.seconds) for c in given
-    ]
-    assert store.checkpoint("cup", "blue") == kept[2]
-    assert store.checkpoint("cup", "red") == kept[3]
+    finish_a_job(store, curves=[point("red", 1, entropy=1.5), point("blue", 2, loss=0.1), point("blue", 1, loss=0.2)])
+    finish_a_job(store, curves=[point("blue", 10, loss=np.float32(0.5))])
+    expected = [point("blue", 1, loss=0.2), point("blue", 2, loss=0.1), point("blue", 10, loss=0.5)]
+    assert store.curves("cup") == [*expected, point("red", 1, entropy=1.5)]
+    assert store.curves("cup", "blue") == expected
+    again = [replace(point("blue", 2, reward=3.0), step=7), point("blue", 3, reward=4.0)]  # from an older checkpoint on
+    finish_a_job(store, curves=again)
+    assert store.curves("cup", "blue") == [expected[0], *again, expected[2]]
 
 
 def test_matches_return_as_they_were_written(store: Store):
-    given = [distinct_match(store, 1), distinct_match(store, 2, "gate"), distinct_match(store, 3)]
+    given = [distinct_match(1), distinct_match(2, "gate"), distinct_match(3, b=None)]
     finish_a_job(store, matches=given)
     kept = store.matches("cup")
     assert [m.id for m in kept] == [1, 2, 3]
-    assert [Match(**{**vars(m), "id": 0, "created": 0.0}) for m in kept] == given
+    assert [replace(m, id=0, created=0.0) for m in kept] == given
     assert [m.seed for m in store.matches("cup", purpose="gate")] == [2]
     assert [m.seed for m in store.matches("cup", purpose="rating", after=1)] == [3]
+
+
+def test_each_league_numbers_its_own_matches(store: Store):
+    store.create_league(League("other", ""))
+    store.add_snapshots([replace(snapshot(store, name, None), league="other") for name in ("blue@0", "red@0")])
+    for league in ("cup", "other", "cup", "other"):
+        store.queue([Job(league, "match", f"{len(store.matches(league))}")])
+        claimed = store.claim(league, ["match"], "tester", seconds=60)
+        assert claimed
+        store.finish(claimed[0], matches=[replace(match(seed), league=league) for seed in (1, 2)])
+    for league in ("cup", "other"):
+        assert [m.id for m in store.matches(league)] == [1, 2, 3, 4]
+
+
+def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
+    store.create_league(League("other", ""))
+
+    def moves(change: Callable[[], object]) -> bool:
+        before = store.revision("cup")
+        change()
+        return store.revision("cup") > before
+
+    def lease() -> Lease:
+        claimed = store.claim("cup", ["train"], "tester", seconds=60)
+        assert claimed
+        return claimed[0]
+
+    blue, phase = Player("cup", "blue", 0, "main", "ant"), Phase("cup", "1", 0, ("blue",), {"blue": 0})
+    job, later, one = Job("cup", "train", "a"), Job("cup", "train", "b"), snapshot(store, "blue@1")
+    held: list[Lease] = []
+    for change in (
+        lambda: store.add_players([replace(blue, name="rogue")]),
+        lambda: store.set_paused("cup", "blue", "why"),
+        lambda: store.add_snapshots([one]),
+        lambda: store.queue([job]),
+        lambda: store.queue([], [phase]),
+        lambda: held.append(lease()),
+        lambda: store.release(held.pop()),
+        lambda: store.fail(lease(), "error", tries=2, wait=0.0),
+        lambda: store.setback(lease(), "blue", "nan"),
+        lambda: store.queue([later]),
+        lambda: store.finish(lease(), matches=[match(1)]),
+        lambda: store.queue([replace(job, key="c")]),
+        lambda: store.fail(lease(), "error", tries=1),
+        lambda: store.requeue(store.jobs("cup", "failed")[0].id),
+    ):
+        assert moves(change)
+    held.append(lease())
+    for change in (
+        lambda: store.add_players([blue]),
+        lambda: store.add_players([]),
+        lambda: store.add_snapshots([one]),
+        lambda: store.queue([job, later], [phase]),
+        lambda: store.claim("cup", ["train", "match"], "tester", seconds=60),
+        lambda: store.renew(held[0], 60),
+        lambda: store.release(Lease(99, "nobody", 1)),
+        lambda: store.requeue(99),
+        lambda: store.beat("a:1:0", "cup", "train", 1, "a", {}),
+        lambda: store.trim_workers("cup", -60),
+        lambda: store.lead("cup", "me", 60),
+        lambda: store.ask_stop("cup"),
+        lambda: store.queue([replace(job, league="other")]),
+    ):
+        assert not moves(change)
+
+
+def test_one_manager_leads_until_it_lets_go_or_is_silent(store: Store):
+    store.create_league(League("other", ""))
+    assert store.leader("cup") is None
+    assert store.lead("cup", "a", 60)
+    assert store.lead("cup", "a", 3600)
+    holder, until = store.leader("cup") or ("", 0.0)
+    assert holder == "a"
+    assert 3000 < until - store.now() <= 3600
+    assert not store.lead("cup", "b", 60)
+    assert not store.unlead("cup", "b")
+    assert store.lead("other", "b", 60)
+    assert store.unlead("cup", "a")
+    assert store.leader("cup") is None
+    assert store.lead("cup", "b", -1)  # over at once
+    assert store.leader("cup") is None
+    assert store.lead("cup", "a", 60)
+    assert not store.lead("cup", "b", 60)
 
 
 def test_workers_are_those_that_beat_lately(store: Store):
@@ -152,8 +203,40 @@ def test_workers_are_those_that_beat_lately(store: Store):
     assert store.workers("cup", within_seconds=60) == [second]
 
 
+@pytest.mark.parametrize(
+    ("payload", "told"),
+    [({"x": float("nan")}, "is no JSON: Out of range"), ({"x": {1}}, "is no JSON: .*set"), ({"x": "\udcff"}, None)],
+)
+def test_what_no_row_can_hold_is_one_line(store: Store, payload: dict, told: str | None):
+    if told is None:
+        store.queue([Job("cup", "match", "a", payload)])  # JSON spells it
+        assert store.jobs("cup")[0].payload == payload
+        return
+    for write in (
+        lambda: store.queue([Job("cup", "match", "a", payload)]),
+        lambda: store.beat("a:1:0", "cup", "match", 1, "a", payload),
+    ):
+        with pytest.raises(StorageError, match=told) as caught:
+            write()
+        assert "\n" not in str(caught.value)
+    with pytest.raises(StorageError):
+        finish_a_job(store, matches=[match(2**70)])
+    assert store.matches("cup") == []
+
+
+def test_silent_workers_are_forgotten(store: Store):
+    store.create_league(League("other", ""))
+    for worker, league in (("old", "cup"), ("new", "cup"), ("abroad", "other")):
+        store.beat(worker, league, "train", 1, "a", {})
+    with store._db.writing() as db:
+        db.execute(sa.update(tables.workers).where(tables.workers.c.id != "new").values(seen=store.now() - 1000))
+    assert store.trim_workers("cup", older_than_seconds=900) == 1
+    assert [w.id for w in store.workers("cup", 10_000)] == ["new"]
+    assert [w.id for w in store.workers("other", 10_000)] == ["abroad"]
+
+
 def test_a_stop_is_for_those_who_had_started(store: Store):
-    store.create_league(League("other", KEY, ""))
+    store.create_league(League("other", ""))
     started = store.now()
     assert not store.stop_asked("cup", since=started)
     store.ask_stop("cup")

@@ -1,0 +1,134 @@
+"""Games that variants are for, and the cheapest arena, which every variant learns."""
+
+from dataclasses import replace
+
+import jax
+import pytest
+import torch
+
+import arenas
+from agents.batch import Batch
+from agents.bridge import team_batch, to_jax
+from agents.happo import Learner
+from agents.policy import crew
+from agents.rollout import make_reset, make_rollout, outcomes, scripts_of
+from agents.settings import Architecture, HappoConfig
+
+XOR = torch.tensor([[0.0, 1.0], [1.0, 0.0]])  # one of two robots shall go, and only one
+GO = HappoConfig(Architecture((8,)), lr=0.05, gamma=0.0, entropy=0.0, epochs=4, minibatches=1, fixed_order=True)
+
+
+def two_alike(config: HappoConfig) -> Learner:
+    """Two agents that begin alike, and go with a probability of a third."""
+    learner = Learner([1, 1], [2, 2], config, seed=0)
+    with torch.no_grad():
+        learner.actors[0].mean.bias.copy_(torch.tensor([0.5, 0.0]))
+    for actor in learner.actors[1:]:
+        actor.load_state_dict(learner.actors[0].state_dict())
+    return learner
+
+
+def play(learner: Learner, rng: torch.Generator) -> Batch:
+    """64 games, and the same with the robots in each other's places: the batch prefers nobody either."""
+    obs = torch.ones(1, 128, 1)
+    with torch.no_grad():
+        policies = [actor(obs) for actor in learner.actors]
+        half = [p.mean[:, :64] + p.stddev[:, :64] * torch.randn((1, 64, 2), generator=rng) for p in policies]
+        actions = [torch.cat(half, 1), torch.cat(half[::-1], 1)]
+        log_probs = [p.log_prob(a).sum(-1) for p, a in zip(policies, actions, strict=True)]
+    first, second = (a.argmax(-1) for a in actions)
+    yes, no = torch.ones(1, 128, dtype=torch.bool), torch.zeros(1, 128, dtype=torch.bool)
+    return Batch([obs] * 2, [obs] * 2, actions, log_probs, [yes] * 2, [yes] * 2, XOR[first, second], yes, no, no)
+
+
+def payoff(learner: Learner) -> float:
+    """What both expect from 4,000 games."""
+    rng, obs = torch.Generator().manual_seed(99), torch.ones(4000, 1)
+    with torch.no_grad():
+        policies = [actor.gaussian(obs) for actor in learner.actors]
+        chosen = [(p.mean + p.stddev * torch.randn(4000, 2, generator=rng)).argmax(-1) for p in policies]
+    return float(XOR[chosen[0], chosen[1]].mean())
+
+
+@pytest.mark.parametrize(
+    ("variant", "climbs"),
+    [({}, True), ({"method": "mappo"}, False), ({"method": "ippo"}, False), ({"share_actors": True}, False)],
+    ids=["happo", "mappo", "ippo", "shared"],
+)
+def test_who_goes_first_matters_where_two_alike_must_do_unlike_things(variant, climbs):
+    """Alike policies of alike experience change alike: without M nobody can give way, and half of the games is best.
+
+    In sequence the second agent learns what the first has become by then (Kuba et al., 2022, proposition 1).
+    """
+    learner, rng = two_alike(replace(GO, **variant)), torch.Generator().manual_seed(1)
+    start = payoff(learner)
+    for _ in range(40):
+        learner.update(play(learner, rng))
+    assert 0.35 < start < 0.5
+    assert (payoff(learner) > 0.75) if climbs else (payoff(learner) < 0.55)
+
+
+# The cheapest arena ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def game():
+    """Rock-paper-scissors: the arena, and 8 decisions in each of its worlds, compiled anew for each kind of policy."""
+    arena = arenas.settings("rock-paper-scissors").build()
+    return arena, make_reset(arena)(jax.random.split(jax.random.key(1), 128)), make_rollout(arena, length=8)
+
+
+VARIANTS = {
+    "happo": {},
+    "mappo": {"method": "mappo"},
+    "ippo": {"method": "ippo"},
+    "hatrpo": {"method": "hatrpo"},
+    "kl_stop": {"kl_stop": 0.02},
+    "kl_step": {"kl_step": 0.02},
+    "decay": {"decay_steps": 20 * 1024},
+    "squashed": {"architecture": Architecture((8,), squash=2.0)},
+    "state_std": {"architecture": Architecture((8,), state_std=True)},
+    "all teams": {"critic_input": "all"},
+    "shared": {"share_actors": True},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS)
+def test_every_variant_learns_the_answer_to_rock(variant, game):
+    arena, worlds, rollout = game
+    worlds = jax.tree.map(lambda x: x.copy(), worlds)  # a rollout uses them up
+    config = replace(HappoConfig(Architecture((8,)), lr=0.01), **variant)
+    learner = Learner([1], [3], config, seed=0, others=[1])
+    others = [arena.teams[1]] if config.critic_input == "all" else []
+    rock = crew([list(scripts_of(arena, "chooser")).index("rock")] * 2)
+    scores = []
+    for iteration in range(20):
+        crews = {"blue/0": crew(to_jax(learner.policies()) * 2), "red/0": rock}
+        worlds, trajectory = rollout(crews, worlds, jax.random.key(iteration))
+        learner.update(team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=0.0, others=others))
+        scores.append(outcomes(trajectory, 0, slice(None))["score"])
+    assert scores[0] < 0.6
+    assert scores[-1] > 0.8
+
+
+def test_the_order_of_teams_changes_no_teams_update(game, same):
+    """Teams share the buffers of one trajectory, and a critic of all teams reads what the others learn from."""
+    arena, worlds, rollout = game
+    states = []
+    for order in ((0, 1), (1, 0)):
+        learners = [
+            Learner([1], [3], HappoConfig(Architecture((8,)), critic_input="all"), seed, others=[1]) for seed in (1, 2)
+        ]
+        crews = {
+            f"{team}/0": crew(to_jax(learner.policies()) * 2)
+            for team, learner in zip(("blue", "red"), learners, strict=True)
+        }
+        _, trajectory = rollout(crews, jax.tree.map(lambda x: x.copy(), worlds), jax.random.key(0))
+        for team in order:
+            learners[team].update(
+                team_batch(trajectory, arena.teams[team], team, slice(None), 1.0, others=[arena.teams[1 - team]])
+            )
+        states.append([learner.state() for learner in learners])
+    assert same(*states)
+    assert not same(states[0][0], states[0][1])

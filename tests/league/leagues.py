@@ -1,0 +1,60 @@
+"""Leagues for tests, as values and in a store, whose figures can be worked out by hand."""
+
+from pathlib import Path
+
+from storage.records import ArenaKey, Checkpoint, League, Match, PairCounts, Player, Snapshot
+from storage.store import Store
+
+C = ArenaKey("sumo-2v2", "c0ffee00", "c")
+WARP = C._replace(engine="warp")
+
+CONFIG = "[rating]\nvoid_limit = 0.05\n"
+
+
+def player(name: str, team: int, roster: str = "rover", **given) -> Player:
+    return Player("cup", name, team, "main", roster, **given)
+
+
+def snapshot(owner: Player | None, iteration: int, digest: str = "", name: str = "", **given) -> Snapshot:
+    """blue@16 and the like, after a second of training per iteration; or a script's."""
+    if owner is None:
+        return Snapshot("cup", name, digest or name, given.pop("roster", "rover"), script=name, origin="scripted")
+    given = {"step": 100 * iteration, "seconds": float(iteration), **given}
+    label = f"{owner.name}@{iteration}"
+    return Snapshot(
+        "cup", label, digest or label, owner.roster, owner.name, initial=iteration == 0, iteration=iteration, **given
+    )
+
+
+def match(a: str, b: str | None, wins: int, losses: int, draws: int = 0, arena: ArenaKey = C, **given) -> Match:
+    """A batch whose games were the same on both sides; in an arena of one team all were on the one there is."""
+    counts = wins, draws, losses
+    side = counts if b is None else tuple(n // 2 for n in counts)
+    return Match("cup", arena, a, b, *counts, given.pop("voids", 0), *side, PairCounts(), seed=1, **given)
+
+
+def filled(folder: Path, *matches: Match) -> Store:
+    """A store with a league of blue and red, trained for 4 iterations, a script, and those matches."""
+    store = Store.open(folder, create=True)
+    store.create_league(League("cup", CONFIG))
+    blue, red = player("blue", 0), player("red", 1)
+    store.add_players([blue, red])
+    store.start_run("cup", CONFIG, "here", {})
+    blob = store.blobs.put
+    policies = [snapshot(p, i, blob(f"{p.name}@{i}".encode())) for p in (blue, red) for i in (0, 1, 4)]
+    store.add_snapshots([*policies, snapshot(None, 0, blob(b"pusher"), "pusher")])
+    state = blob(b"state")
+    finish(store, checkpoints=[Checkpoint("cup", p.name, state, 400, 4, 4000.0, C) for p in (blue, red)])
+    finish(store, matches=matches)
+    return store
+
+
+def finish(store: Store, key: str = "", **results) -> None:
+    """Put results into the store as a worker would."""
+    from storage.records import Job
+
+    key = key or f"job{len(store.jobs('cup'))}"
+    store.queue([Job("cup", "any", key)])
+    claimed = store.claim("cup", ["any"], "somewhere:1:0", 60)
+    assert claimed is not None
+    store.finish(claimed[0], **results)

@@ -1,0 +1,217 @@
+"""The command line tried as a clumsy user would, in processes of their own where that is what is tested."""
+
+import signal
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from league import cli
+from league.commands.manage import Task
+from league.commands.run import _detach
+from league.config import experiment as configuration
+from league.config import presets
+from league.daemon import DaemonError
+from league.prepare import Prepared
+from storage.records import League
+from storage.store import Store
+from tests.league.conftest import ROOT, TINY, call, command
+
+OWN = """
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Settings:
+    name: str = "own"
+    def build(self, **where):
+        BODY
+
+ARENAS = (Settings(),)
+"""
+
+
+def said(capsys, *args: str) -> tuple[int, str, str]:
+    """Exit code, output and errors of a command in this process."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main(list(args))
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ROBOT_LEAGUE_BLOBS", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # lest a process started here ignores Ctrl-C
+    yield tmp_path
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("run", "--detach=maybe"), '--detach = "maybe": expected true or false'),
+        (("run", "--steps", "0"), "--steps = 0: must be at least 1"),
+        (("run", "--workers.train", "0"), "must be between 1 and 64"),
+        (("run", "--training.worlds", "1e30"), "expected a whole number"),
+        (("run", "--store", "postgres//host/league"), "postgres//host/league"),
+        (("ratings", "--fromat", "json"), "did you mean --format?"),
+        (("watch", "seven"), 'match = "seven": expected a whole number'),
+        (("watch", "7", "8"), "what is '8'? league watch takes MATCH"),
+        (("check",), "league check needs NAME"),
+        (("init", "--preset", "quikstart"), "did you mean quickstart"),
+        (("statsu",), "did you mean status?"),
+    ],
+)
+def test_bad_input_is_one_line_with_exit_code_two_and_leaves_nothing(args, says, folder, capsys):
+    code, out, err = said(capsys, *args)
+    assert code == 2
+    assert says in err
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("name", [name for name in cli.COMMANDS])
+def test_every_command_has_a_page_of_help(name, folder, capsys):
+    code, out, _ = said(capsys, name, "--help")
+    assert code == 0
+    assert out.startswith(f"usage: league {name}")
+    assert "--debug" in out
+    assert not list(folder.iterdir())
+
+
+def test_the_help_of_run_is_grouped_and_shows_the_values_that_a_file_gives(folder, capsys):
+    Path("l.toml").write_text("[learner]\nlr = 0.25\n")
+    _, out, _ = said(capsys, "run", "--help", "l.toml")
+    for table in ("[training]", "[training.schedule]", "[learner]", "[rating]", "[arena.rules]", "[storage]"):
+        assert f"\n{table} " in out
+    assert "--learner.lr 0.25" in out
+    assert "--for TEXT" in out
+    assert "{None}" not in out
+
+
+def test_a_league_that_runs_elsewhere_is_not_run_here(folder, capsys):
+    with Store.open("league-data", create=True) as store:
+        store.create_league(League("quickstart", configuration.dumps(presets.quickstart())))
+        assert store.lead("quickstart", "elsewhere:1:manager", 60.0)
+    for args in (("run",), ("run", "--detach")):
+        code, _, err = said(capsys, *args)
+        assert code == 2
+        assert "league 'quickstart' is running already (process 1 on elsewhere)" in err
+
+
+def test_a_background_run_that_cannot_lead_says_why(folder):
+    config = replace(presets.duel(), seed=5)
+    with Store.open("league-data", create=True) as store:
+        kept = configuration.dumps(presets.duel())
+        store.create_league(League("duel", kept))
+        store.lead("duel", "elsewhere:1:manager", 60.0)
+        task = Task("league-data", None, configuration.dumps(config), Prepared("sumo-1v1", "c", 64, ("blue", "red")))
+        with pytest.raises(DaemonError, match=r"could not start in the background: league 'duel' is running already"):
+            _detach(task)
+        assert store.league("duel").config == kept
+        assert not store.runs("duel")
+
+
+@pytest.mark.parametrize("wait_for", ["interpreter", "preparation"])
+def test_ctrl_c_before_a_league_has_begun_ends_it_at_once_and_leaves_nothing(wait_for, folder):
+    process = subprocess.Popen(
+        command("run", *TINY), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )  # fmt: skip
+    if wait_for == "interpreter":
+        while "storage" not in _mapped(process.pid):
+            time.sleep(0.01)
+    while wait_for == "preparation" and not _children(process.pid):
+        time.sleep(0.01)
+    children = _children(process.pid)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert not list(folder.iterdir())
+    assert not any(_runs(child) for child in children)
+
+
+def _mapped(pid: int) -> str:
+    """ "storage" when the process has come so far that it has the database's library; else nothing."""
+    try:
+        return "storage" if "sqlalchemy" in Path(f"/proc/{pid}/maps").read_text() else ""
+    except OSError:
+        return ""
+
+
+def _children(pid: int) -> list[int]:
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True).stdout
+    return [int(child) for child in found.split()]
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process is alive and no zombie."""
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True).stdout.strip()
+    return bool(state) and not state.startswith("Z")
+
+
+def test_a_league_in_the_background_leads_before_that_is_said_and_stops_when_asked(folder):
+    started = call("run", *TINY, "--detach", cwd=folder)
+    assert started.returncode == 0, started.stderr
+    assert "Runs in the background as process" in started.stdout
+    with Store.open(folder / "league-data") as store:
+        assert store.leader("tiny") is not None
+        (run,) = store.runs("tiny")
+        kept = store.league("tiny").config
+    assert run.config == kept
+    assert configuration.loads(kept).league == "tiny"
+    stopped = call("stop", cwd=folder)
+    assert stopped.returncode == 0, stopped.stderr
+    assert "League tiny has stopped." in stopped.stdout
+    with Store.open(folder / "league-data") as store:
+        assert store.leader("tiny") is None
+    assert "is not running" in call("stop", cwd=folder).stdout
+
+
+def test_a_setting_that_fails_is_not_what_the_next_run_goes_on_with(folder, capsys):
+    kept = configuration.dumps(presets.duel())
+    with Store.open("league-data", create=True) as store:
+        store.create_league(League("duel", kept))
+        code, _, err = said(capsys, "run", "--training.schedule.learner", "2")
+        assert code == 2
+        assert "--training.schedule.learner = 2: the arena's teams are 0 (blue), 1 (red)" in err
+        assert store.league("duel").config == kept
+        assert not store.players("duel")
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("raise KeyError('no rotor')", "KeyError: 'no rotor' (own.py:8)"),
+        ("raise SystemExit(4)", "it exits with 4 (own.py:8)"),
+        ("import arenas.arena; return type('Half', (arenas.arena.Arena,), {})('own', {}, None, {})", "(own.py:8)"),
+    ],
+)
+def test_check_fails_an_arena_that_raises_exits_or_is_abstract_with_its_line(body, says, folder, capsys):
+    Path("own.py").write_text(OWN.replace("BODY", body))
+    code, out, err = said(capsys, "check", "own.py:own")
+    assert (code, err) == (1, "")
+    assert out.startswith("FAILED")
+    assert says in out
+
+
+@pytest.mark.parametrize("body", ["import sys\nsys.exit(0)", "1 / 0", "def f(:"])
+def test_check_fails_a_file_that_cannot_be_read(body, folder, capsys):
+    Path("bad.py").write_text(body)
+    code, out, _ = said(capsys, "check", "bad.py:bad")
+    assert code == 1
+    assert "FAILED  its file can be read" in out
+    assert f"(bad.py:{body.count(chr(10)) + 1})" in out
+
+
+def test_an_arena_of_ones_own_that_is_broken_is_told_before_a_league_is_made(folder):
+    Path("own.py").write_text(OWN.replace("BODY", "raise KeyError('no rotor')"))
+    done = call("run", "--arena.name", "own.py:own", cwd=folder)
+    assert done.returncode == 2
+    assert "KeyError: 'no rotor' (own.py:8); `league check own.py:own` examines it" in done.stderr
+    assert not (folder / "league-data").exists()

@@ -1,0 +1,240 @@
+"""A curriculum: stages as settings, who starts from whom, and a walk that a kill does not stop."""
+
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agents.happo import Learner
+from agents.settings import Architecture, HappoConfig
+from league import curriculum, heirs
+from league.config import experiment as configuration
+from league.config import presets
+from league.config.schema import ConfigError
+from league.heirs import Heritage, Misfit, Source
+from storage import arrays
+from storage.records import Player
+from storage.store import Store
+from tests.league.conftest import ROOT, call, start, wait_for
+
+SOLO = f"{ROOT / 'tests' / 'arenas' / 'solo.py'}:solo"
+WALK = f"""
+league = "pucks"
+arena.name = "{SOLO}"
+training.worlds = 32
+training.rollout = 16
+training.turn = 4
+rating.worlds = 16
+rating.pairings = 2
+rating.quota = 8
+rating.final_quota = 8
+rating.milestones = []
+workers.nice = 0
+
+[[stages]]
+name = "near"
+budget.steps = 4000
+
+[[stages]]
+name = "nearer"
+arena.rules.reach = 0.25
+budget.steps = 20_000
+budget.rate = "60s"
+"""
+
+
+# Settings -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_stage_is_the_league_with_what_the_stage_says():
+    config = configuration.loads(WALK)
+    near, nearer = (configuration.stage(config, number) for number in (0, 1))
+    assert (near.league, nearer.league) == ("pucks.near", "pucks.nearer")
+    assert (near.after, nearer.after) == ((), ("pucks.near",))
+    assert (near.arena.rules.reach, nearer.arena.rules.reach) == (0.3, 0.25)
+    assert near.training == nearer.training == config.training
+    assert (near.budget.steps, near.budget.rate) == (4000, "0s")  # who goes on need not wait for ratings
+    assert (nearer.budget.steps, nearer.budget.rate) == (20_000, "60s")
+
+
+def test_stages_are_written_as_they_are_read():
+    for config in (configuration.loads(WALK), presets.by_team(), presets.within_team()):
+        assert configuration.loads(configuration.dumps(config)) == config
+
+
+def test_a_budget_of_the_whole_league_bounds_every_stage():
+    config = presets.by_team()
+    short = replace(config, budget=replace(config.budget, steps=3000))
+    assert {configuration.stage(short, number).budget.steps for number in range(4)} == {3000}
+    assert configuration.stage(short, 0).budget.success == 0.9
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[[stages]]\ntraining.rollout = 3\n', "league.toml:1: stages[0]: a stage needs a name, in quotes"),
+        ('[[stages]]\nname = "a b"\n', 'league.toml:2: stages[0].name = "a b": a name is made of letters'),
+        ('[[stages]]\nname = "a"\nseed = 3\n', "league.toml:3: stages[0].seed: is the same in all stages"),
+        ('[[stages]]\nname = "a"\nbudget.stepps = 3\n', "league.toml:3: stage a: unknown key budget.stepps: did"),
+        ('[[stages]]\nname = "a"\narena.name = "sumu"\n', "league.toml:3: stage a: unknown arena 'sumu'"),
+        ('[[stages]]\nname = "a"\n[[stages]]\nname = "b"\n', "league.toml:1: stage a: nothing ends it; give it"),
+        ('[[stages]]\nname = "a"\nbudget.steps = 1\n[[stages]]\nname = "a"\n', "stages: 2 are called a"),
+        ("stages = 3\n", "league.toml:1: stages: expected a list of tables, each beginning with [[stages]]"),
+        (
+            '[[stages]]\nname = "a"\nlearner.architecture.hidden = [3]\n',
+            "league.toml:3: stage a: learner.architecture: must be the same in all stages",
+        ),
+    ],
+)  # fmt: skip
+def test_stages_that_cannot_be_are_refused_in_one_line(text, says):
+    with pytest.raises(ConfigError) as caught:
+        configuration.loads(text)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# Who starts from whom -------------------------------------------------------------------------------------------------
+
+DOG, CAR = "anymal:56:12", "leatherback:14:2"
+
+
+def player(league: str, name: str, team: int, roster: str) -> Player:
+    return Player(league, name, team, "main", roster)
+
+
+WALKED = [player("cup.walk", "blue", 0, DOG)]
+PUSHED = [player("cup.dogs", "blue", 0, DOG), player("cup.dogs", "red", 1, DOG)]
+DROVE = [player("cup.cars", "blue", 0, CAR), player("cup.cars", "red", 1, CAR)]
+
+
+def test_an_agent_goes_on_from_its_own_kind_of_the_nearest_league():
+    match = [player("cup.match", "blue", 0, f"{DOG}+{DOG}"), player("cup.match", "red", 1, f"{CAR}+{CAR}")]
+    found = heirs.heritage(match, [DROVE, PUSHED, WALKED])
+    assert found == {
+        "blue": Heritage((Source("cup.dogs", "blue", 0), Source("cup.dogs", "red", 0)), None),
+        "red": Heritage((Source("cup.cars", "blue", 0), Source("cup.cars", "red", 0)), None),
+    }
+    told = heirs.words(found)
+    assert told[0].startswith("blue: actors go on from cup.dogs's blue/0, cup.dogs's red/0; critic starts afresh")
+
+
+def test_a_critic_goes_on_where_its_input_fits():
+    assert heirs.heritage(PUSHED, [WALKED]) == {
+        name: Heritage((Source("cup.walk", "blue", 0),), ("cup.walk", "blue")) for name in ("blue", "red")
+    }
+
+
+def test_a_critic_of_all_teams_goes_on_where_all_rosters_are_the_same():
+    assert heirs.heritage(PUSHED, [WALKED], "all") == {
+        name: Heritage((Source("cup.walk", "blue", 0),), None) for name in ("blue", "red")
+    }
+    again = [player("cup.again", p.name, p.team, p.roster) for p in PUSHED]
+    assert [found.critic for found in heirs.heritage(again, [PUSHED], "all").values()] == [
+        ("cup.dogs", "blue"), ("cup.dogs", "red")
+    ]  # fmt: skip
+
+
+def test_who_has_no_forerunner_starts_afresh_and_that_is_said():
+    found = heirs.heritage(DROVE, [PUSHED, WALKED])
+    assert set(found.values()) == {Heritage((None,), None)}
+    assert heirs.words(found) == [f"{name}: actors start afresh; critic starts afresh" for name in ("blue", "red")]
+
+
+def test_a_policy_of_other_numbers_is_refused():
+    with pytest.raises(Misfit, match=r"anymal sees 106 numbers and acts with 12 here, and sees 56 .* cup\.walk"):
+        heirs.heritage([player("cup.dogs", "blue", 0, "anymal:106:12")], [WALKED])
+
+
+def learner(sizes: tuple[int, ...], seed: int) -> Learner:
+    return Learner(sizes, (2,) * len(sizes), HappoConfig(Architecture((8,)), normalise_observations=True), seed)
+
+
+def test_a_learner_inherits_actors_with_their_deviations_and_leaves_the_rest():
+    given, own = learner((3, 3), 1), learner((3, 3), 2)
+    before, theirs = own.state(), given.state()
+    theirs["actor.1.std_logit"] = theirs["actor.1.std_logit"] + 0.25
+    own.inherit([(theirs, 1), None], None)
+    after = own.state()
+    for name in (name for name in after if name.startswith("actor.0.")):
+        np.testing.assert_array_equal(after[name], theirs[name.replace(".0.", ".1.", 1)])
+    changed = {name for name in after if not np.array_equal(after[name], before[name])}
+    assert changed
+    assert all(name.startswith("actor.0.") for name in changed)
+
+
+def test_a_learner_inherits_a_critic_with_its_value_normaliser():
+    given, own = learner((3,), 1), learner((3,), 2)
+    theirs = given.state() | {"value_norm.mean_sum": given.state()["value_norm.mean_sum"] + 3}
+    own.inherit([(theirs, 0)], theirs)
+    kept = {k: v for k, v in own.state().items() if not k.startswith(("adam", "rng"))}
+    for name, array in kept.items():
+        np.testing.assert_array_equal(array, theirs[name])
+
+
+def test_a_policy_of_another_network_is_not_inherited():
+    with pytest.raises(ValueError, match="does not fit"):
+        learner((3,), 2).inherit([(learner((4,), 1).state(), 0)], None)
+
+
+# The walk -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_curriculum_is_walked_and_a_kill_amid_a_stage_costs_nothing(tmp_path):
+    (tmp_path / "pucks.toml").write_text(WALK)
+    first = start("run", "pucks.toml", cwd=tmp_path)
+    wait_for(tmp_path, lambda store: [c for c in store.newest_checkpoints("pucks.nearer").values() if c.iteration > 4])
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    again = call("run", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert "Stage 2 of 2, nearer: it ends after 20,000 steps" in again.stdout
+    assert "Stage 1" not in again.stdout
+
+    begun = (tmp_path / "out.txt").read_text()
+    assert "Stage near has ended: 4,096 steps of 4,000 steps." in begun
+    assert "runner: actors go on from pucks.near's runner/0; critic and value normaliser from pucks.near's" in begun
+    with Store.open(tmp_path / "league-data") as store:
+        near, initial = (
+            arrays.from_bytes(store.blobs.get(digest))
+            for digest in (
+                store.newest_checkpoints("pucks.near")["runner"].digest,
+                store.snapshots("pucks.nearer", "runner")[0].digest,
+            )
+        )
+        for name in (name for name in initial if "activation" not in name):
+            np.testing.assert_array_equal(initial[name], near[f"actor.{name.replace('/', '.')}"])
+        assert store.snapshots("pucks.nearer", "runner")[0].parent == "pucks.near/runner@8"
+        assert store.newest_checkpoints("pucks.nearer")["runner"].step >= 20_000
+        lines = curriculum.report(store, "pucks.nearer")
+    assert lines == [
+        "1. near: has ended: 4,096 steps of 4,000 steps", "2. nearer: has ended: 20,480 steps of 20,000 steps"
+    ]  # fmt: skip
+    assert "1. near: has ended" in call("status", cwd=tmp_path).stdout
+    assert call("snapshots", "--league", "pucks", cwd=tmp_path).stdout.count("runner@0") == 1
+    assert call("snapshots", "--league", "pucks", cwd=tmp_path).stdout == call("snapshots", cwd=tmp_path).stdout
+    over = call("run", cwd=tmp_path)
+    assert over.returncode == 0
+    assert "The last stage of league pucks has ended" in over.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_sumo_by_team_is_walked_from_the_first_step_to_the_matches(tmp_path):
+    done = call(
+        "run", "--preset", "sumo-by-team", "--steps", "2000", "--training.worlds", "32", "--training.rollout", "16",
+        "--rating.worlds", "16", "--rating.pairings", "2", "--rating.quota", "8", "--rating.final-quota", "8",
+        "--workers.nice", "0", "--budget.rate", "20s", cwd=tmp_path, timeout=1700,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for number, name in enumerate(("walk", "push-anymal", "push-leatherback", "match"), 1):
+        assert f"Stage {number} of 4, {name}" in done.stdout
+    match = "blue: actors go on from sumo-by-team.push-anymal's blue/0, sumo-by-team.push-anymal's red/0"
+    assert match in done.stdout
+    with Store.open(tmp_path / "league-data") as store:
+        assert {p.roster for p in store.players("sumo-by-team.match")} == {
+            "anymal:56:12+anymal:56:12", "leatherback:14:2+leatherback:14:2"
+        }  # fmt: skip
+        assert not store.jobs("sumo-by-team.match", "failed")
+        assert min(c.step for c in store.newest_checkpoints("sumo-by-team.match").values()) >= 2000

@@ -1,0 +1,67 @@
+"""Nothing that one bad job can stop: faults put into a running league, and what the league does about them."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from storage.store import Store
+from tests.league.conftest import ENVIRONMENT, PUCKS, call, start, wait_for
+
+
+def blob(folder: Path, digest: str) -> Path:
+    return folder / "league-data" / "blobs" / digest[:2] / digest[2:]
+
+
+def test_a_damaged_snapshot_is_set_aside_with_its_reason_and_the_league_goes_on(tmp_path):
+    first = start("run", *PUCKS, "--steps", "3000", "--workers.match", "0", cwd=tmp_path)
+    assert first.wait(timeout=540) == 0
+    with Store.open(tmp_path / "league-data") as store:
+        bad = next(s for s in store.snapshots("tiny", "blue") if s.iteration == 1)
+    path = blob(tmp_path, bad.digest)
+    path.write_bytes(path.read_bytes()[:-7])
+
+    done = call("run", "--steps", "3000", "--budget.rate", "100s", "--workers.match", "1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    with Store.open(tmp_path / "league-data") as store:
+        met = {name for m in store.matches("tiny") for name in (m.a, m.b)}
+        failed = store.jobs("tiny", "failed")
+    assert bad.name not in met
+    assert len(met) > 6  # the others were rated all the same
+    assert failed
+    assert all("damaged" in str(job.error) for job in failed)
+    told = call("status", cwd=tmp_path).stdout
+    assert "damaged" in told
+
+
+def test_of_two_managers_started_at_the_same_instant_exactly_one_runs(tmp_path):
+    assert call("run", *PUCKS, "--steps", "1000", "--workers.match", "0", cwd=tmp_path).returncode == 0
+    both = [start("run", *PUCKS, "--budget.steps", "400000", "--workers.match", "0", cwd=tmp_path) for _ in range(2)]
+    wait_for(tmp_path, lambda store: any(p.poll() is not None for p in both))
+    (loser,) = [p for p in both if p.poll() is not None]
+    (winner,) = [p for p in both if p is not loser]
+    assert loser.returncode == 2
+    assert "is running already" in (tmp_path / "out.txt").read_text()
+    time.sleep(1)
+    assert winner.poll() is None
+    winner.send_signal(signal.SIGINT)
+    assert winner.wait(timeout=90) == 0
+
+
+def test_a_worker_whose_manager_dies_while_it_still_imports_does_not_live_on(tmp_path):
+    assert call("run", *PUCKS, "--steps", "1000", "--workers.match", "0", cwd=tmp_path).returncode == 0
+    with Store.open(tmp_path / "league-data") as store:
+        config = store.league("tiny").config
+    script = (
+        "import sys, os\n"
+        "from league.worker import Post, work\n"
+        f"work(Post({str(tmp_path / 'league-data')!r}, None, sys.stdin.read(), ('train',), 0, 999999999))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], input=config, text=True, timeout=540, env=ENVIRONMENT, cwd=tmp_path,
+        capture_output=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with Store.open(tmp_path / "league-data") as store:
+        assert not store.workers("tiny", 60)

@@ -1,0 +1,136 @@
+"""What only the heavy half can refuse, and that it writes nothing then; that the light half stays light."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from league.config import experiment as configuration
+from league.config import presets
+from league.config.schema import ConfigError
+from league.config.sections import PlayerSettings
+from league.prepare import create, examine, prepare, roster, worlds
+from storage.store import Store
+from tests.league.conftest import ROOT
+
+
+def duel(**changes: object) -> configuration.Config:
+    return replace(presets.duel(), **changes)
+
+
+@pytest.mark.parametrize(
+    ("toml", "key", "says"),
+    [
+        ("schedule.learner = 2", "training.schedule.learner", "the arena's teams are 0 (blue), 1 (red)"),
+        ('device = "cuda"', "training.device", "torch sees no CUDA device"),
+        ("worlds = 1048576\nrollout = 10000", "training.worlds", "GB"),
+        ('[rating]\nscripts = ["idle", "clown"]', "rating.scripts", "no script 'clown' (centre-holder, idle,"),
+        ('[[players]]\nteam = "green"', "players.0.team", "the arena's teams are blue, red"),
+        ('[[players]]\nteam = "blue"', "players", "nobody plays team red"),
+        ('[[players]]\nteam = "blue"\nname = "idle"\n[[players]]\nteam = "red"', "players", "name of a script"),
+    ],
+)  # fmt: skip
+def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says):
+    if "cuda" in toml:
+        import torch
+
+        if torch.cuda.is_available():
+            pytest.skip("this machine has a CUDA device")
+    config = configuration.loads(f'arena.name = "sumo-1v1"\n[training]\n{toml}\n')
+    with pytest.raises(ConfigError) as caught:
+        examine(config)
+    assert ".".join(caught.value.key) == key
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_critic_of_all_teams_needs_other_teams():
+    def critic_of_all(arena: str) -> configuration.Config:
+        return configuration.loads(f'arena.name = "{arena}"\n[learner]\ncritic_input = "all"\n')
+
+    assert examine(critic_of_all("rock-paper-scissors")).name == "rock-paper-scissors"
+    with pytest.raises(ConfigError, match=r"learner\.critic_input = \"all\": .* has one team.*; use own$"):
+        examine(critic_of_all(f"{ROOT}/tests/arenas/solo.py:solo"))
+
+
+def test_a_refused_league_leaves_nothing_and_a_good_one_is_whole(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    players = (
+        PlayerSettings("blue"),
+        PlayerSettings("blue", hidden=(8,)),
+        PlayerSettings("red"),
+        PlayerSettings("red"),
+    )
+    config = duel(players=players)
+    with pytest.raises(ConfigError, match="the arena's teams are") as caught:
+        prepare("store", replace(config, players=(PlayerSettings("green"),)))
+    assert caught.value.key == ("players", "0", "team")
+    assert not list(tmp_path.iterdir())
+
+    arena = examine(config)
+    with Store.open("store", create=True) as store:
+        create(store, config, arena)
+        assert configuration.loads(store.league("duel").config) == config
+        assert [(p.name, p.team, p.group) for p in store.players("duel")] == [
+            ("blue", 0, "1"), ("blue-2", 0, "2"), ("red", 1, "1"), ("red-2", 1, "2"),
+        ]  # fmt: skip
+        assert {s.name for s in store.snapshots("duel")} == {"idle", "random", "pusher", "centre-holder"}
+        before = store.revision("duel")
+        create(store, config, arena)
+        assert store.revision("duel") == before
+        with pytest.raises(ConfigError, match=r"players that the settings do not name \(blue-2, red-2\)"):
+            create(store, replace(config, players=()), arena)
+
+
+def test_where_nobody_is_named_each_team_has_a_main_player():
+    assert [(p.name, p.role, p.group) for p in roster(duel(), ["blue", "red"])] == [
+        ("blue", "main", "1"), ("red", "main", "1"),
+    ]  # fmt: skip
+
+
+def test_the_number_of_worlds_suits_the_device_unless_it_is_given():
+    import jax
+
+    assert worlds(duel()) == (2048 if jax.default_backend() == "gpu" else 256)
+    assert worlds(duel(training=replace(duel().training, worlds=10))) == 10
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("raise RuntimeError('at once')\n", "RuntimeError: at once (own.py:1)"),
+        ("import sys\nsys.exit(3)\n", "it exits with 3 (own.py:2)"),
+        ("def broken(:\n", "SyntaxError: invalid syntax (own.py:1)"),
+    ],
+)
+def test_an_arena_file_that_cannot_be_read_is_told_with_its_line(body, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(body)
+    with pytest.raises(ConfigError) as caught:
+        configuration.default("own.py:own")
+    assert says in str(caught.value)
+
+
+LIGHT = """
+import resource, sys
+from pathlib import Path
+import league.cli, league.daemon, league.commands.run, league.commands.manage, league.prepare
+from league.config import experiment as configuration, presets
+for name in presets.PRESETS:
+    assert configuration.loads(configuration.dumps(presets.preset(name))) == presets.preset(name)
+heavy = {"torch", "jax", "mujoco", "warp"} & set(sys.modules)
+status = Path("/proc/self/status")  # the other figure begins with what the process held that started this one
+lines = status.read_text().splitlines() if status.exists() else []
+peak = next((line.split()[1] for line in lines if line.startswith("VmHWM")), 0)
+print(",".join(sorted(heavy)), (int(peak) or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) // 1024, sep=";")
+"""
+
+
+def test_configuration_and_manager_load_nothing_heavy():
+    done = subprocess.run([sys.executable, "-c", LIGHT], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    heavy, megabytes = done.stdout.strip().split(";")
+    assert heavy == ""
+    assert int(megabytes) < 300

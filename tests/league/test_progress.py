@@ -1,0 +1,154 @@
+"""The line that `league run` prints while it runs, and what it says at its end."""
+
+import os
+import socket
+from dataclasses import replace
+
+import pytest
+
+from league.commands import progress
+from league.commands.progress import Ticker, summary
+from league.config import presets
+from league.config.experiment import Budget
+from league.standing import Standing
+from matchmaking import ladder as ladders
+from matchmaking.ladder import Ladder
+from matchmaking.ratings import fit
+from storage.records import Job, Phase, Worker
+from tests.league.leagues import match, player, snapshot
+
+HERE, ME = socket.gethostname(), os.getpid()
+PLAYERS = [player(name, team) for team, name in enumerate(("blue", "red"))]
+SAID = {
+    "doing": "training", "learners": ["blue", "red"], "iteration": 640, "steps": 5_242_880, "seconds": 240.0,
+    "steps_per_second": 3700.0,
+}  # fmt: skip
+
+
+def worker(kinds="train", pid=ME, started=10.0, **status) -> Worker:
+    return Worker(f"{HERE}:{pid}:{kinds}0", "cup", kinds, pid, HERE, status, started, 99.0)
+
+
+def standing(*log, players=PLAYERS, **given) -> Standing:
+    pool = [snapshot(p, i) for i in (0, 1, 64) for p in players]
+    pool.append(snapshot(None, 0, name="pusher"))
+    return Standing(
+        players=players, snapshots=pool,
+        ladder=Ladder([s.name for s in pool], log, [s.name for s in pool if s.initial]), **given
+    )  # fmt: skip
+
+
+def ticker(**budget) -> Ticker:
+    return Ticker(replace(presets.quickstart(), budget=Budget(**budget)))
+
+
+MANAGER = worker("manager")
+PLAYED = [match("blue@64", "blue@0", 97, 3), match("red@64", "red@0", 96, 4), match("blue@1", "blue@0", 5, 5)]
+
+
+def test_what_matters_most_comes_first_and_the_line_is_at_most_80_columns():
+    line = ticker(train="2h").line(standing(*PLAYED), "training", [MANAGER, worker(**SAID)])
+    assert line.startswith("blue 97 %, red 96 % vs initial · 1:56:00 left · blue+red learn · iteration 640")
+    assert len(line) <= 80
+
+
+@pytest.mark.parametrize("width", range(0, 200, 7))
+def test_a_narrow_line_leaves_parts_out_and_cuts_none(width):
+    tell, state, said = ticker(train="5m"), standing(*PLAYED), [MANAGER, worker(**SAID)]
+    whole = tell.line(state, "training", said, 500).split(" · ")
+    line = tell.line(state, "training", said, width)
+    assert len(line) <= width
+    assert {part for part in line.split(" · ") if part and "so far" not in part} <= set(whole)
+    assert len(whole) == 8
+
+
+def test_before_anything_is_rated_it_tells_how_learning_goes():
+    line = ticker().line(standing(), "training", [MANAGER, worker(**SAID)])
+    assert line.startswith("blue+red learn · iteration 640 · 5,242,880 steps · 3,700 steps/s · ")
+
+
+def test_a_budget_in_steps_is_told_as_time():
+    line = ticker(steps=5_242_880 + 3700 * 90).line(standing(), "training", [worker(**SAID)])
+    assert line.startswith("1:30 left")
+
+
+def test_after_a_restart_no_dead_workers_words_are_shown():
+    gone = next(pid for pid in range(4_000_000, 5_000_000) if not os.path.exists(f"/proc/{pid}"))
+    old = worker(started=5.0, **SAID)
+    line = ticker().line(standing(), "training", [MANAGER, old, worker(pid=gone, started=11.0, **SAID)])
+    assert line.startswith("starting workers")
+    new = worker(started=11.0, doing="compiling the training rollout")
+    assert ticker().line(standing(), "training", [MANAGER, old, new]).startswith("compiling the training rollout")
+
+
+def test_many_players_and_groups_are_told_together():
+    many = [player(f"{team}-{i}", t, group=str(i)) for i in range(3) for t, team in enumerate(("blue", "red"))]
+    log = [match(f"{p.name}@64", f"{p.name}@0", 90 + 2 * i, 10 - 2 * i) for i, p in enumerate(many[:4])]
+    line = ticker(train="5m").line(standing(*log, players=many), "training", [worker(**SAID), worker(**SAID)])
+    assert line.startswith("4 players 90-96 % vs initial · 1:00 left · 2 groups learn · 10,485,760 steps")
+
+
+def test_while_rating_it_tells_how_long_that_will_take(monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    phase = Phase("cup", "(rating)", 4, (), {}, {"seconds": 175.0, "budget": 180.0})
+    tell, state = ticker(rate="3m"), standing(*PLAYED, phases={"(rating)": phase})
+    assert tell.line(state, "rating", []).startswith("rating · blue 97 %, red 96 % vs initial · 2:55 left · 210 rated")
+    now[0] += 60
+    assert "1:55 left" in tell.line(state, "rating", [])
+
+
+def test_what_the_league_goes_on_without_is_said():
+    players = [PLAYERS[0], replace(PLAYERS[1], paused="its policy was nan twice")]
+    bad = Job("cup", "match", "match:1", state="failed", error="ValueError")
+    state = standing(*PLAYED, players=players, jobs=(bad, replace(bad, state="queued")))
+    line = ticker(train="5m").line(state, "training", [worker(**SAID)])
+    assert line.startswith("blue 97 %, red 96 % vs initial · 1:00 left · 1 job set aside, red paused")
+    assert "1 job set aside, red paused: `league status` tells why." in summary(presets.quickstart(), state)
+    assert "league status" not in summary(presets.quickstart(), standing(*PLAYED))
+
+
+def test_one_team_tells_its_success():
+    log = [match("blue@64", None, 30, 10), match("blue@0", None, 1, 39)]
+    line = ticker().line(standing(*log, players=PLAYERS[:1]), "training", [worker(**SAID)])
+    assert line.startswith("blue 75 % success · ")
+    assert "blue@64 succeeds: 75.0 % (" in summary(presets.quickstart(), standing(*log, players=PLAYERS[:1]))
+
+
+def test_it_is_printed_as_lines_where_there_is_no_terminal(capsys):
+    tell = ticker()
+    for stage in ("training", "training", "done"):  # the second one comes too soon
+        tell(standing(), stage, [worker(**SAID)])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert lines[1].startswith("done")
+
+
+def test_a_summary_fits_once_and_says_who_is_better(monkeypatch):
+    fits = []
+    monkeypatch.setattr(ladders, "fit", lambda *args, **named: fits.append(1) or fit(*args, **named))
+    log = [
+        *PLAYED,
+        match("blue@64", "red@64", 60, 40),
+        match("blue@64", "pusher", 70, 30),
+        match("blue@0", "red@0", 9, 9),
+    ]
+    text = summary(presets.quickstart(), standing(*log))
+    assert len(fits) == 1
+    assert "blue@64 against\n  its own blue@0 (0:00 of training)" in text
+    assert "  pusher" in text
+    assert "blue@64 is stronger than red@64 with probability" in text
+    assert text.endswith(progress.NEXT)
+
+
+def test_who_is_stronger_is_asked_of_one_side_alone():
+    log = [match("blue@64", "ants@0", 60, 40), match("blue-2@64", "ants@0", 40, 60)]
+    rovers = [player("blue", 0), player("blue-2", 0, group="2")]
+    text = summary(presets.quickstart(), standing(*log, players=[*rovers, player("ants", 1, "ant")]))
+    assert "blue@64 is stronger than blue-2@64 with probability" in text
+    assert "than ants" not in text
+
+
+def test_a_line_fits_nothing_at_all(monkeypatch):
+    monkeypatch.setattr(ladders, "fit", lambda *_, **__: pytest.fail("the progress line fitted ratings"))
+    assert ticker().line(standing(*PLAYED), "training", [worker(**SAID)])

@@ -1,0 +1,64 @@
+"""Soccer's curricula: stages that fit each other, so that every policy goes on from the stage before."""
+
+import pytest
+
+import arenas
+from league import heirs
+from league.config import experiment as configuration
+from league.config import presets
+from league.heirs import Source
+from storage.records import Player
+from storage.store import Store
+from tests.league.conftest import call
+
+PRESETS = {"soccer-1v1": presets.soccer_1v1, "soccer-2v2": presets.soccer_2v2}
+STAGES = ("walk", "ball", "score", "score-leatherback", "match")
+
+
+def players(config):
+    """One player for each team of a stage's arena."""
+    teams = config.arena.outline().teams
+    rosters = {t: "+".join(f"{s.kind}:{s.sees}:{s.acts}" for s in seats) for t, seats in teams.items()}
+    return [Player(config.league, team, i, "main", roster) for i, (team, roster) in enumerate(rosters.items())]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_stages_lead_from_the_first_step_to_the_matches(name):
+    config = PRESETS[name]()
+    assert configuration.loads(configuration.dumps(config)) == config
+    found = [configuration.stage(config, number) for number in range(len(STAGES))]
+    assert tuple(each.league for each in found) == tuple(f"{name}.{stage}" for stage in STAGES)
+    assert [each.arena.name for each in found] == [
+        "soccer-walk", "soccer-ball", "soccer-score", "soccer-score-leatherback", name
+    ]  # fmt: skip
+    assert found[-1].arena == arenas.settings(name)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_policy_goes_on_from_the_newest_stage_of_its_kind(name):
+    walk, ball, score, rovers, match = (
+        players(configuration.stage(PRESETS[name](), number)) for number in range(len(STAGES))
+    )
+    assert heirs.heritage(ball, [walk])["blue"].actors == (Source(f"{name}.walk", "blue", 0),)
+    assert heirs.heritage(score, [ball, walk])["blue"].actors == (Source(f"{name}.ball", "blue", 0),)
+    assert heirs.heritage(rovers, [score, ball, walk])["blue"].actors == (None,)
+    found, size = heirs.heritage(match, [rovers, score, ball, walk]), len(match[0].roster.split("+"))
+    assert found["blue"].actors == (Source(f"{name}.score", "blue", 0),) * size
+    assert found["red"].actors == (Source(f"{name}.score-leatherback", "blue", 0),) * size
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_soccer_is_walked_from_the_first_step_to_the_matches(tmp_path):
+    done = call(
+        "run", "--preset", "soccer-1v1", "--steps", "1000", "--training.worlds", "16", "--training.rollout", "16",
+        "--rating.worlds", "8", "--rating.pairings", "1", "--rating.quota", "8", "--rating.final-quota", "8",
+        "--workers.nice", "0", "--budget.rate", "10s", cwd=tmp_path, timeout=1700,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for number, name in enumerate(STAGES, 1):
+        assert f"Stage {number} of 5, {name}" in done.stdout
+    assert "blue: actors go on from soccer-1v1.score's blue/0" in done.stdout
+    with Store.open(tmp_path / "league-data") as store:
+        assert {p.roster for p in store.players("soccer-1v1.match")} == {"anymal:66:12", "leatherback:24:2"}
+        assert not store.jobs("soccer-1v1.match", "failed")

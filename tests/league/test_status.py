@@ -1,0 +1,100 @@
+"""What `league status` says of a league that runs, stands still or has trouble."""
+
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from league.commands import status as module
+from league.commands.status import report, status
+from league.query import Open
+from storage.records import Job, Phase
+from tests.league.leagues import filled
+
+HERE = socket.gethostname()
+ALIVE = f"{HERE}:{os.getpid()}:manager"
+
+
+@pytest.fixture
+def dead() -> int:
+    """The id of a process that has ended."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+@pytest.fixture
+def opened(tmp_path):
+    with filled(tmp_path / "store") as store:
+        yield Open(store)
+
+
+def words(opened, **given) -> str:
+    return " ".join(report(opened, **given).split())
+
+
+def test_a_league_that_nobody_manages_is_stopped(opened):
+    text = report(opened)
+    assert text.startswith("League cup: stopped\n")
+    assert [line.split()[-1] for line in text.splitlines() if line.startswith((" blue", " red"))] == ["stopped"] * 2
+
+
+def test_a_league_is_stopped_once_its_managers_process_is_gone_or_its_lease_is_over(opened, dead):
+    opened.store.lead("cup", ALIVE, 60)
+    assert words(opened).startswith(f"League cup: running, managed by {ALIVE}")
+    opened.store.unlead("cup", ALIVE)
+    opened.store.lead("cup", f"{HERE}:{dead}:manager", 60)
+    assert words(opened).startswith("League cup: stopped")
+    opened.store.unlead("cup", f"{HERE}:{dead}:manager")
+    opened.store.lead("cup", "elsewhere:1:manager", 60)
+    assert words(opened).startswith("League cup: running, managed by elsewhere:1:manager")
+    opened.store.lead("cup", "elsewhere:1:manager", -1)
+    assert words(opened).startswith("League cup: stopped")
+
+
+def test_it_tells_who_learns_since_when_and_what_ends_it(opened):
+    leap = Phase("cup", "1", 3, ("red",), {"blue": 2, "red": 1}, {"iterations": 5})
+    opened.store.queue([], [leap, Phase("cup", "2", 0, ("blue", "red"), {"blue": 0, "red": 0})])
+    opened.store.lead("cup", ALIVE, 60)
+    text = words(opened)
+    # red has done 4 iterations, one of them before the phase.
+    assert "group 1: red learns since iteration 1; it ends after 5 iterations, 2 are left" in text
+    assert "group 2: blue and red learn since iteration 0; nothing ends it" in text
+    now = {
+        line.split()[0]: line.split()[-1] for line in report(opened).splitlines() if line.startswith((" blue", " red"))
+    }
+    assert now == {"blue": "rests", "red": "learns"}
+
+
+def test_paused_players_and_jobs_set_aside_tell_their_reasons(opened):
+    store = opened.store
+    store.set_paused("cup", "red", "policy loss is nan\nin iteration 7")
+    store.queue([Job("cup", "match", "match:bad")])
+    for _ in range(2):
+        lease, _ = store.claim("cup", ["match"], "w:1:1", 60)
+        store.fail(lease, "ValueError: blob ab12 is damaged\nTraceback: line 3", tries=2, wait=0)
+    text = report(opened)
+    assert "Paused:\n  red: policy loss is nan (--debug shows it all)" in text
+    assert "Set aside:\n  match:bad, tried 2 times: ValueError: blob ab12 is damaged (--debug shows it all)" in text
+    assert "1 set aside" in text
+    assert "line 3" not in text
+    assert "Traceback: line 3" in report(opened, whole_errors=True)
+    assert [line.split()[-1] for line in text.splitlines() if line.startswith(" red")] == ["paused"]
+
+
+def test_the_words_of_dead_workers_are_not_repeated(opened, dead):
+    for pid, doing in ((os.getpid(), "training"), (dead, "compiling")):
+        said = {"doing": doing, "learners": ["blue"], "iteration": 7, "steps_per_second": 1234.5}
+        opened.store.beat(f"{HERE}:{pid}:train0", "cup", "train", pid, HERE, said)
+    text = words(opened)
+    assert "training blue 7" in text
+    assert "compiling" not in text
+    assert "stopping, 1 workers still finish" in text
+
+
+def test_the_command_prints_it(opened, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(module.sys, "argv", ["league", "status"])
+    assert status(["--store", str(tmp_path / "store")]) == 0
+    assert capsys.readouterr().out.startswith("League cup: stopped")

@@ -1,0 +1,90 @@
+"""Tables of scripts: games whose result is known, played and told."""
+
+import re
+
+import pytest
+
+import arenas
+from arenas.errors import ArenaError
+from league import pages, tournament
+from tests.arenas import race, solo
+
+
+def played(settings, episodes=32):
+    return tournament.play(settings.build(engine="c", threads=1), settings, episodes)
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """A Markdown table's cells by the name of their row; that of the heading is empty."""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
+    return {name: cells for name, *cells in lines if not name.startswith("---")}
+
+
+@pytest.fixture(scope="module")
+def rock_paper_scissors():
+    return played(arenas.settings("rock-paper-scissors"))
+
+
+def test_rock_beats_scissors_and_every_cell_mirrors_another(rock_paper_scissors):
+    table = rows(tournament.told(rock_paper_scissors))
+    assert table[""] == ["rock", "paper", "scissors", "random"]
+    won, lost = "100.0 % (80.6-100.0)", "0.0 % (0.0-19.4)"  # Wilson's interval of 16 seed pairs
+    assert table["rock"][:3] == ["–", lost, won]
+    assert table["paper"][:3] == [won, "–", lost]
+    assert table["scissors"][:3] == [lost, won, "–"]
+    against, other_way = (float(cell.split()[0]) for cell in (table["rock"][3], table["random"][0]))
+    assert against + other_way == pytest.approx(100, abs=0.11)
+    assert re.search(r"\d+ drawn$", table["rock"][3])
+
+
+def test_what_was_played_is_told(rock_paper_scissors):
+    key = rock_paper_scissors.key
+    text = tournament.told(rock_paper_scissors)
+    assert f"32 episodes of each pair on engine `none` (rules {key.config_hash[:8]}), seed pairs" in text
+    assert rock_paper_scissors.ladder.payoff.pairs.sum() == 6 * 16
+    assert (rock_paper_scissors.ladder.payoff.episodes.sum(1) == 3 * 32).all()
+
+
+def test_unlike_teams_stay_on_their_sides():
+    found = played(arenas.settings("matching-pennies"), 8)
+    table = rows(tournament.told(found))
+    assert table["heads"][:2] == ["100.0 % (67.6-100.0)", "0.0 % (0.0-32.4)"]  # Wilson's interval of 8 games
+    assert table["tails"][:2] == ["0.0 % (0.0-32.4)", "100.0 % (67.6-100.0)"]
+    assert "blue (rows) against red (columns)" in tournament.told(found)
+
+
+def test_one_team_is_told_by_its_success():
+    settings = next(iter(solo.ARENAS))
+    found = played(settings, 16)
+    table = rows(tournament.told(found))
+    assert table[""] == ["success"]
+    assert set(table) - {""} == set(found.sides[0])
+
+
+def test_pucks_race():
+    table = rows(tournament.told(played(next(iter(race.ARENAS)), 16)))
+    assert table["sprinter"][table[""].index("idle")].startswith("100.0 %")
+
+
+def test_three_teams_have_no_table():
+    with pytest.raises(ArenaError, match="one team or two, and here are 3"):
+        tournament.pairs([{"idle": "idle"}] * 3)
+    with pytest.raises(ArenaError, match="for each of the teams"):
+        tournament.pairs([{"idle": "idle:blue"}, {}])
+
+
+def test_the_table_goes_between_its_two_lines():
+    begin = tournament.begin("sumo-1v1")
+    page = f"# Sumo\n\n{begin}\n{pages.END}\n\n{tournament.begin('sumo-2v2')}\nkept\n{pages.END}\n"
+    once = pages.replaced(page, begin, "a\n\nb")
+    assert once == page.replace(begin, f"{begin}\na\n\nb")
+    assert pages.replaced(once, begin, "c") == page.replace(begin, f"{begin}\nc")
+    with pytest.raises(ValueError, match="one part between the lines <!-- played by the scripts of race"):
+        pages.replaced(page, tournament.begin("race"), "a")
+
+
+@pytest.mark.parametrize("episodes", ["0", "7"])
+def test_episodes_are_even(episodes, capsys):
+    with pytest.raises(SystemExit):
+        tournament.main(["sumo-1v1", "--episodes", episodes])
+    assert f"--episodes {episodes}: must be even and 2 or more" in capsys.readouterr().err
