@@ -19,10 +19,10 @@ check: $(STAMP)  ## Format, lint, types, layers.
 	$(BIN)/lint-imports
 
 test: check  ## What must pass before a change is shared.
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest -rs -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile.
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -rs -m slow -n 2 --dist worksteal
 
 clean:  ## Remove what make and the tools wrote; leagues stay.
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache
@@ -32,7 +32,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || { \
 		echo "Robot League needs Python 3.11, 3.12 or 3.13, and $(PYTHON) is not one: name it, as in make PYTHON=python3.12 $(MAKECMDGOALS)"; \
 		exit 1; }
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	extras=view,dash,dev; if nvidia-smi -L >/dev/null 2>&1; then extras=$$extras,cuda; fi; \
 		$(BIN)/python -m pip install -c constraints.txt -e ".[$$extras]"
 	@touch $@
