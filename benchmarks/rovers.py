@@ -13,7 +13,6 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,17 +24,15 @@ from league.environment import prepare  # noqa: E402
 prepare()  # before jax reads the environment
 
 
+from benchmarks.episodes import bare, rate, score  # noqa: E402
 from benchmarks.record import commit, machine  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
 from league.config.durations import seconds  # noqa: E402
-from league.config.experiment import Config  # noqa: E402
 from league.evaluate import Referee  # noqa: E402
 from league.jobs import RatingMatch  # noqa: E402
 from league.measures import newest_snapshots  # noqa: E402
 from league.standing import Standing  # noqa: E402
 from league.versions import versions  # noqa: E402
-from matchmaking.ladder import Ladder  # noqa: E402
-from storage.records import Snapshot  # noqa: E402
 from storage.store import Store  # noqa: E402
 
 LEAGUE = "rovers"
@@ -51,7 +48,6 @@ PHASES: list[tuple[str, list[str]]] = [  # until so much training in all, with t
     ("10m", ["--training.worlds", "8192", "--learner.lr", "5e-4", "--learner.critic-lr", "5e-4",
              "--learner.entropy", "0.002"]),
 ]  # fmt: skip
-WORLDS = 4096  # worlds of a rating batch
 
 
 def main() -> None:
@@ -134,22 +130,6 @@ def measure(where: Path, episodes: int) -> dict:
         }  # fmt: skip
 
 
-def rate(
-    store: Store, config: Config, league: str, pairs: Sequence[tuple[Snapshot, Snapshot]], episodes: int
-) -> tuple[Ladder, int, float]:
-    """Play pairs for so many episodes each: the ladder, void episodes and seconds without compiling."""
-    pairings = max(1, WORLDS // episodes)
-    config = replace(config, rating=replace(config.rating, worlds=pairings * episodes, pairings=pairings, record=False))
-    arena = config.arena.build(engine=config.engine, worlds=config.rating.worlds)
-    referee = Referee(config, arena, league)
-    names = tuple((a.name, b.name) for a, b in pairs)
-    referee.play(store, RatingMatch(names[:1], 0))  # compiles
-    began, matches = time.monotonic(), []
-    for i in range(0, len(names), pairings):
-        matches += referee.play(store, RatingMatch(names[i : i + pairings], 20_000 + i))
-    return Ladder((), matches), sum(m.voids for m in matches), time.monotonic() - began
-
-
 def record(where: Path, folder: Path) -> None:
     """Keep recordings of each newest snapshot against the pusher and the centre-holder."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -164,17 +144,6 @@ def record(where: Path, folder: Path) -> None:
             assert match.recording is not None
             path = folder / f"{match.a}-{match.b}-{i}.mcap".replace("@", "-")
             path.write_bytes(store.blobs.get(match.recording))
-
-
-def bare(toml: str) -> str:
-    """A configuration without its comments."""
-    return "\n".join(line for line in toml.splitlines() if line and not line.startswith("#"))
-
-
-def score(ladder: Ladder, snapshot: Snapshot, other: Snapshot) -> dict:
-    """Score with its 95 % interval."""
-    found = ladder.score(snapshot.name, other.name)
-    return {"score": round(found.score, 4), "low": round(found.low, 4), "high": round(found.high, 4), "n": found.games}
 
 
 if __name__ == "__main__":
