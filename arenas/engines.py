@@ -10,6 +10,8 @@
 MuJoCo in C resets a world by itself when numbers go bad; that is switched off, and such a world is told `unstable`.
 """
 
+import os
+
 import jax
 import mujoco
 
@@ -19,6 +21,9 @@ from arenas.native import CEngine
 from arenas.options import EngineName
 from arenas.physics import Engine, Still
 
+THREADS = 4
+"""With fewer threads of XLA's, but more than one, MJX in JAX can stop for ever on a CPU."""
+
 
 def choose(name: EngineName) -> str:
     """Resolve `auto` to `warp` on an NVIDIA GPU and to `c` elsewhere; say so where a named engine cannot run."""
@@ -27,7 +32,24 @@ def choose(name: EngineName) -> str:
         return "warp" if on_gpu else "c"
     if name not in ("c", "jax", "warp"):
         raise EngineError(f"unknown engine {name!r}: choose auto, c, jax or warp")
+    if name == "jax" and not on_gpu and 1 < _xla_threads() < THREADS:
+        raise EngineError(
+            f"engine jax can hang on a CPU where XLA has {_xla_threads()} threads, one per core: "
+            f"take engine c, or set the environment variable NPROC={THREADS}"
+        )
     return name
+
+
+def _xla_threads() -> int:
+    """Threads in XLA's pool on a CPU.
+
+    jaxlib's batched Cholesky (0.10.2) waits, inside that pool, for work that it gave to the same pool. MJX has two of
+    them at once, and on two threads they wait for each other: 500 worlds of two rovers hung in all of three runs. With
+    one thread, which does the work itself, and with four they ended.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    asked = os.environ.get("NPROC", "")
+    return int(asked) if asked.isdigit() and int(asked) else cores
 
 
 def make_engine(

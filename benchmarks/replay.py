@@ -157,7 +157,7 @@ class Accelerated:
         """Warp's own solver iterations and rows after every substep, (T, S, N), and whether any contact was lost."""
         _, told = self._run(play)
         names = ("warp_iterations", "warp_rows", "lost")[: len(told)]
-        return {name: np.asarray(values) for name, values in zip(names, told, strict=True)}
+        return {name: np.asarray(values, np.float64) for name, values in zip(names, told, strict=True)}
 
 
 def bare(arena: Arena, worlds: int) -> Native | Accelerated:

@@ -2,6 +2,8 @@ import os
 
 import pytest
 
+os.environ.setdefault("NPROC", "4")  # XLA's threads: with two of them MJX in JAX can hang, see arenas/engines.py
+
 from dashboards.errors import ViewerError
 from dashboards.headless import NO_DRIVER, headless_viewer
 

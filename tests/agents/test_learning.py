@@ -14,7 +14,7 @@ from agents.settings import Architecture, HappoConfig
 
 def test_two_teams_learn_to_beat_what_they_were():
     arena = arenas.settings("sumo-1v1").build(engine="c")
-    learners = [Learner([20], [2], HappoConfig(), seed) for seed in (1, 2)]
+    learners = [Learner([20], [2], HappoConfig(), seed, device="auto") for seed in (1, 2)]
     initial = [policy for learner in learners for policy in to_jax(learner.policies())]
     worlds = make_reset(arena)(jax.random.split(jax.random.key(1), 128))
     rollout = make_rollout(arena, length=32)
@@ -39,7 +39,7 @@ def test_a_team_finds_the_answer_to_whom_it_meets_in_a_game_without_bodies():
     """Rock-paper-scissors against rock in every world: paper. It reads nothing but a constant."""
     arena = arenas.settings("rock-paper-scissors").build()
     scripts = list(scripts_of(arena, "chooser"))
-    learner = Learner([1], [3], HappoConfig(Architecture((8,)), lr=0.01), seed=0)
+    learner = Learner([1], [3], HappoConfig(Architecture((8,)), lr=0.01), seed=0, device="auto")
     worlds, rollout = make_reset(arena)(jax.random.split(jax.random.key(1), 128)), make_rollout(arena, length=8)
     rock = crew([scripts.index("rock")] * 2)
     scores = []

@@ -99,7 +99,7 @@ def test_every_variant_learns_the_answer_to_rock(variant, game):
     arena, worlds, rollout = game
     worlds = jax.tree.map(lambda x: x.copy(), worlds)  # a rollout uses them up
     config = replace(HappoConfig(Architecture((8,)), lr=0.01), **variant)
-    learner = Learner([1], [3], config, seed=0, others=[1])
+    learner = Learner([1], [3], config, seed=0, device="auto", others=[1])
     others = [arena.teams[1]] if config.critic_input == "all" else []
     rock = crew([list(scripts_of(arena, "chooser")).index("rock")] * 2)
     scores = []
@@ -118,7 +118,8 @@ def test_the_order_of_teams_changes_no_teams_update(game, same):
     states = []
     for order in ((0, 1), (1, 0)):
         learners = [
-            Learner([1], [3], HappoConfig(Architecture((8,)), critic_input="all"), seed, others=[1]) for seed in (1, 2)
+            Learner([1], [3], HappoConfig(Architecture((8,)), critic_input="all"), seed, "auto", others=[1])
+            for seed in (1, 2)
         ]
         crews = {
             f"{team}/0": crew(to_jax(learner.policies()) * 2)
