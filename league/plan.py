@@ -5,7 +5,7 @@ store queues a key once, so that asking twice does no harm. What was set aside i
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from zlib import crc32
 
@@ -327,16 +327,13 @@ def _match(config: Config, standing: Standing, pairs: Sequence[Pair]) -> Job:
     return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record), about)
 
 
-def missing(config: Config, standing: Standing) -> Mapping[str, list[str]]:
-    """Newest snapshot -> yardsticks that it has not met for the quota: rating was cut short."""
-    return {
-        s.name: left
+def cut_short(config: Config, standing: Standing) -> bool:
+    """Whether rating was: a newest snapshot has not met a yardstick, or not tried alone, for the quota."""
+    quota = config.rating.quota
+    if standing.one_team:
+        return any(standing.ladder.tried(s.name) < quota for s in newest_snapshots(standing))
+    return any(
+        _episodes(standing, (s.name, other.name)) < quota
         for s in newest_snapshots(standing)
-        if (
-            left := [
-                o.name
-                for o in yardsticks(config, standing, s)
-                if _episodes(standing, (s.name, o.name)) < config.rating.quota
-            ]
-        )
-    }
+        for other in yardsticks(config, standing, s)
+    )

@@ -18,7 +18,7 @@ from league.config.experiment import Budget, Config
 from league.config.schema import ConfigError
 from league.daemon import DaemonError
 from league.liveness import leader
-from league.plan import groups, missing, spent, trained_enough
+from league.plan import cut_short, groups, spent, trained_enough
 from league.prepare import prepare
 from league.standing import Standing
 from storage.errors import NotAStore
@@ -50,7 +50,7 @@ def run(args: list[str]) -> int:
             return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
         standing = Standing.of(store, config.league, recent=config.budget.window)
         config = _with_budget(asked, standing)
-        if trained_enough(config, standing) and not (config.workers.match and missing(config, standing)):
+        if trained_enough(config, standing) and not (config.workers.match and cut_short(config, standing)):
             print(f"{summary(config, standing)}\n\n{_had_enough(config)}")
             return 0
     return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
@@ -65,7 +65,7 @@ def _walked(store: Store, config: Config) -> str | None:
     last = configuration.stage(config, len(config.stages) - 1)
     standing = curriculum.standing(store, last)
     why = curriculum.ended(last, standing)
-    if why is None or (last.workers.match and missing(last, standing)):
+    if why is None or (last.workers.match and cut_short(last, standing)):
         return None
     more = f"`league run --league {last.league}` goes on with the last stage without a budget"
     return f"{summary(last, standing)}\n\nThe last stage of league {config.league} has ended: {why}; {more}."

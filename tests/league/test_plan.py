@@ -209,6 +209,19 @@ def test_when_training_is_over_the_newest_meet_all_yardsticks_until_their_quota(
     assert met == dict.fromkeys(wanted, config.rating.final_quota)
 
 
+def test_rating_was_cut_short_while_a_newest_snapshot_lacks_its_quota_against_a_yardstick_or_alone():
+    config, newest = training(), ("blue@16", "red@16")
+    state = standing(snapshots=snapshots(0, 16))
+    assert plan.cut_short(config, state)
+    met = [match(a, b) for a in newest for b in (a.replace("16", "0"), "pusher")]
+    assert plan.cut_short(config, _with(state, met[:-1]))
+    assert not plan.cut_short(config, _with(state, met))
+    alone = standing(players=PLAYERS[:1], snapshots=snapshots(0, 16, players=PLAYERS[:1]))
+    assert plan.cut_short(config, alone)
+    assert plan.cut_short(config, _with(alone, [match("blue@16", None, config.rating.quota - 2)]))
+    assert not plan.cut_short(config, _with(alone, [match("blue@16", None, config.rating.quota)]))
+
+
 def _with(state: Standing, matches) -> Standing:
     names = [s.name for s in state.snapshots]
     return replace(state, ladder=Ladder(names, tuple(matches), [s.name for s in state.snapshots if s.initial]))
