@@ -31,6 +31,8 @@ from storage.records import ArenaKey, Snapshot
 
 FORMAT = 1
 KEY = "robot_league"
+TRAINED = Path(__file__).parent / "trained"
+"""Policies that come with the league, and their cards."""
 LIMIT = 2**30  # bytes of a file
 TEXT_LIMIT = 4096  # letters of a name or a roster
 
@@ -127,6 +129,21 @@ def _versions(league: Open, snapshot: Snapshot) -> dict[str, str]:
 
 
 # Reading -------------------------------------------------------------------------------------------------------------
+
+
+def trained() -> list[str]:
+    """Names of the policies that come with the league."""
+    return sorted(path.stem for path in TRAINED.glob("*.safetensors"))
+
+
+def find(named: str) -> Path:
+    """The file of that name, else that of a policy that comes with the league. Raises UnknownName for neither."""
+    path = Path(named)
+    if path.exists() or path.suffix or path.name != named:
+        return path
+    if named not in trained():
+        raise UnknownName("file or trained policy", named, trained())
+    return TRAINED / f"{named}.safetensors"
 
 
 def read(path: Path) -> Policy:

@@ -37,7 +37,7 @@ class ImportOptions(Where):
     """Which file, and as whom."""
 
     file: str = positional()
-    """A file that `league export` wrote."""
+    """A file that `league export` wrote, or the name of a policy that comes with the league, such as anymal-walk."""
     named: str | None = field(default=None, metadata={"flag": "as", "valid": _named})
     """The name that it has in the league."""
 
@@ -66,7 +66,7 @@ def import_(args: list[str]) -> int:
     what = "Bring a policy that `league export` wrote into a league, as a fixed opponent that is rated with all others."
     options = parse(ImportOptions, args, "import", what)
     _need(options.named, "--as NAME", "import")
-    policy = exchange.read(Path(options.file))
+    policy = exchange.read(exchange.find(options.file))
     with options.open() as league:
         snapshot = exchange.bring_in(league, policy, str(options.named))
         where = shlex.join(["--store", shown_place(options.store)]) + " " if options.store != STORE else ""

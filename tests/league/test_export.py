@@ -211,6 +211,27 @@ def test_an_imported_policy_plays_and_is_rated(file, tmp_path, capsys):
         assert np.isfinite(rows.loc["anchor"].elo)
 
 
+@pytest.mark.parametrize("name", exchange.trained())
+def test_what_comes_with_the_league_fits_the_arena_that_it_learnt_in(name, tmp_path, capsys):
+    policy = exchange.read(exchange.find(name))
+    settings = configuration.loads(policy.about["settings"])
+    assert settings.arena.name == policy.about["arena"]["arena"]
+    side = next(iter(settings.arena.outline().teams.values()))
+    roster = "+".join(f"{seat.kind}:{seat.sees}:{seat.acts}" for seat in side)
+    league_at(tmp_path / "away", "away", roster).close()
+    said = ran(capsys, "import", name, "--as", "strong", "--store", str(tmp_path / "away"))
+    assert said.startswith("strong of league away is ")
+    assert roster in said
+    assert (exchange.TRAINED / f"{name}.safetensors.md").read_text().startswith("# ")
+
+
+def test_an_unknown_trained_policy_is_refused_with_those_that_there_are(tmp_path, capsys):
+    league_at(tmp_path / "away", "away", ROSTER).close()
+    told = ran(capsys, "import", "anymal-wal", "--as", "x", "--store", str(tmp_path / "away"), code=2)
+    assert "There is no file or trained policy 'anymal-wal' here" in told
+    assert "Did you mean 'anymal-walk'?" in told
+
+
 def test_a_policy_of_another_roster_is_refused_with_both(file, tmp_path, capsys):
     league_at(tmp_path / "away", "away", "rover:20:2+rover:20:2").close()
     told = ran(capsys, "import", str(file), "--as", "x", "--store", str(tmp_path / "away"), code=2)

@@ -1,0 +1,53 @@
+"""Draw `benchmarks/stages.py`'s results: success by training time, a panel for each file.
+
+python benchmarks/stages_curve.py docs/pictures/stages.png benchmarks/results/walk-h200.json ...
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+
+COLOURS = {"blue": "#2a6be6", "red": "#e03833"}
+
+
+def main() -> None:
+    """Read the files named after the first, write the picture named first."""
+    files = [Path(name) for name in sys.argv[2:]]
+    figure, axes = plt.subplots(1, len(files), figsize=(4 * len(files), 3.6), layout="constrained", sharey=True)
+    for axis, file in zip(axes if len(files) > 1 else [axes], files, strict=True):
+        panel(axis, json.loads(file.read_text()), file.stem)
+    figure.savefig(sys.argv[1], dpi=120)
+
+
+def panel(axis: plt.Axes, result: dict, title: str) -> None:
+    """One stage: a line for each seed and player."""
+    for seed in result["seeds"]:
+        for player, colour in COLOURS.items():
+            points = [p for p in seed["curve"] if p["snapshot"].startswith(f"{player}@") and p["seconds"]]
+            if not points:
+                continue
+            scores = [p["score"] for p in points]
+            error = [p["score"] - p["low"] for p in points], [p["high"] - p["score"] for p in points]
+            seconds = [p["seconds"] for p in points]
+            axis.errorbar(seconds, scores, error, color=colour, alpha=0.7, capsize=2, lw=1)
+    against = result["seeds"][0]["against"]
+    seeds = len(result["seeds"])
+    axis.axhline(result["asked"], color="grey", lw=0.8, ls="--")
+    axis.set(
+        xscale="log", ylim=(0, 1.02), xlabel="seconds of training",
+        ylabel=f"score against {against}" if against else "share that succeeds",
+        title=f"{title}: {seeds} seed{'s' * (seeds > 1)}",
+    )  # fmt: skip
+    axis.set_xticks([2, 5, 10, 30, 60, 120, 300], ["2", "5", "10", "30", "60", "120", "300"])
+    axis.minorticks_off()
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+if __name__ == "__main__":
+    main()
