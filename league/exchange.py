@@ -137,13 +137,13 @@ def trained() -> list[str]:
 
 
 def find(named: str) -> Path:
-    """The file of that name, else that of a policy that comes with the league. Raises UnknownName for neither."""
+    """The file of a policy that comes with the league, else the file of that name. Raises UnknownName for neither."""
+    if named in trained():
+        return TRAINED / f"{named}.safetensors"
     path = Path(named)
-    if path.exists() or path.suffix or path.name != named:
-        return path
-    if named not in trained():
+    if not path.exists() and not path.suffix and path.name == named:
         raise UnknownName("file or trained policy", named, trained())
-    return TRAINED / f"{named}.safetensors"
+    return path
 
 
 def read(path: Path) -> Policy:
@@ -284,6 +284,17 @@ def bring_in(league: Open, policy: Policy, name: str) -> Snapshot:
     )  # fmt: skip
     store.add_snapshots([snapshot])
     return next(s for s in store.snapshots(league.league) if s.name == name)
+
+
+def bring_in_trained(league: Open, arena: str) -> None:
+    """Add the policies that come with the league and learnt in this arena, where they fit and no name is taken."""
+    players = league.store.players(league.league)
+    taken = {p.name for p in players} | {s.name for s in league.store.snapshots(league.league)}
+    for name in trained():
+        policy = read(find(name))
+        learnt_here = (policy.about["arena"] or {}).get("arena") == arena
+        if learnt_here and name not in taken and policy.about["roster"] in {p.roster for p in players}:
+            bring_in(league, policy, name)
 
 
 def _arena(league: Open) -> str:

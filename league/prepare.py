@@ -150,7 +150,9 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
 
     Raises StorageError, before anything is written, where the league has players that contradict these.
     """
+    from league.exchange import bring_in_trained
     from league.policies import add_scripts
+    from league.query import Open
 
     players = players_of(config, arena)
     if config.league in {league.name for league in store.leagues()}:
@@ -166,6 +168,8 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     store.create_league(League(config.league, configuration.dumps(config)))
     store.add_players(players)
     add_scripts(store, config.league, arena, _scripts(config, arena))
+    if config.rating.trained:
+        bring_in_trained(Open(store, config.league), arena.name)
 
 
 def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:

@@ -95,6 +95,8 @@ class Rating:
     """Training times whose snapshots the newest one is compared with."""
     scripts: tuple[str, ...] | None = None
     """Scripted opponents in the rating pool (none: all that the arena has)."""
+    trained: bool = True
+    """Policies that come with the league are in the rating pool of the arena in which they learnt."""
     void_limit: float = field(default=0.02, metadata={"low": 0.0, "high": 1.0})
     """Share of void episodes above which a snapshot is flagged: it may gain from breaking physics."""
     record: bool = True

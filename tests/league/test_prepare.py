@@ -84,6 +84,23 @@ def test_a_refused_league_leaves_nothing_and_a_good_one_is_whole(tmp_path, monke
             create(store, replace(config, players=()), arena)
 
 
+@pytest.mark.parametrize(
+    ("arena", "changes", "found"),
+    [
+        ("block-push-anymal", {}, {"anymal-push"}),
+        ("block-push-anymal", {"trained": False}, set()),
+        ("block-push-leatherback", {}, set()),
+    ],
+)
+def test_policies_that_come_with_the_league_are_in_the_pool_of_their_arena(arena, changes, found, tmp_path):
+    config = configuration.default(arena)
+    config = replace(config, rating=replace(config.rating, **changes))
+    with Store.open(tmp_path, create=True) as store:
+        for _ in range(2):  # as at every start
+            create(store, config, config.arena.build(engine="c"))
+        assert {s.name for s in store.snapshots(config.league) if s.origin == "imported"} == found
+
+
 def test_where_nobody_is_named_each_team_has_a_main_player():
     assert [(p.name, p.role, p.group) for p in roster(duel(), ["blue", "red"])] == [
         ("blue", "main", "1"), ("red", "main", "1"),
