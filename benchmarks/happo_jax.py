@@ -87,6 +87,12 @@ def permutations_of(learner: Learner, size: int) -> Array:
     return jnp.asarray(np.reshape(drawn, (len(learner.actors) + 1, learner.config.epochs, size)))
 
 
+def gap(one: Team, other: Team) -> float:
+    """The largest difference of any weight of the actors and the critic."""
+    weights = ([network.weights for network in (*team.actors, team.critic)] for team in (one, other))
+    return max(float(jnp.abs(a - b).max()) for a, b in zip(*map(jax.tree.leaves, weights), strict=True))
+
+
 def draw(key: Array, parts: int, epochs: int, size: int) -> Array:
     """(parts, epochs, B) Fresh permutations."""
     keys = jax.random.split(key, parts * epochs)
