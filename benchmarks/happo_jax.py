@@ -114,21 +114,22 @@ def make_update(c: HappoConfig) -> Callable[[Team, Batch, Array], tuple[Team, Fi
         returns = A + values
         A_hat = ((A - A.mean()) / (A.std() + 1e-5)).reshape(-1)
 
-        M, actors, figures = jnp.ones_like(A_hat), [], {}
+        M, actors, said = jnp.ones_like(A_hat), [], []
         for i, actor in enumerate(team.actors):
             rows = _flat((batch.observations[i], batch.actions[i], batch.log_probs[i]))
             share = Share(*rows, M * A_hat)
             moved, told = _descend(actor, partial(_surrogate, c=c), share, permutations[i], c, c.lr)
             M *= jnp.exp(_log_prob(moved, c, share) - _log_prob(actor, c, share))
             actors.append(moved)
-            figures |= {f"{name}.{i}": value for name, value in told.items()}
+            said.append(told)
 
         seen, old, returns = _flat((seen, predictions, returns))
         norm, target = _targets(team.norm, returns[_rows(permutations[-1], c)])
         critic, told = _descend(
             team.critic, partial(_value_loss, c=c), (seen, old), permutations[-1], c, c.critic_lr, (target,)
         )
-        after, figures = Team(tuple(actors), critic, norm), figures | told
+        after = Team(tuple(actors), critic, norm)
+        figures = jax.tree.map(lambda *x: jnp.stack(x).mean(), *said) | {f"critic_{k}": v for k, v in told.items()}
         finite = jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves((after, figures))]).all()
         return after, figures | {"finite": finite}
 
@@ -201,7 +202,7 @@ def _value_loss(weights: Params, network: Network, rows: tuple, c: HappoConfig) 
         return jnp.where(size <= c.huber_delta, 0.5 * error**2, c.huber_delta * (size - 0.5 * c.huber_delta))
 
     loss = jnp.maximum(huber(target - value), huber(target - clipped)).mean()
-    return loss, {"value_loss": loss}
+    return loss, {"loss": loss}
 
 
 def _log_prob(network: Network, c: HappoConfig, share: Share) -> Array:

@@ -175,9 +175,10 @@ def plain_jax(ground: Ground) -> dict:
     team, same, size = happo_jax.team_of(learner), happo_jax.batch_of(batch), batch.rewards.numel()
     update = happo_jax.make_update(c)
     agents = len(team.actors)
-    whole = jax.jit(lambda key: update(team, same, happo_jax.draw(key, agents + 1, c.epochs, size)))
+    # The batch is an argument: of a constant XLA would compute beforehand what depends on nothing else.
+    whole = jax.jit(lambda team, batch, key: update(team, batch, happo_jax.draw(key, agents + 1, c.epochs, size)))
     ours = partial(timed, partial(learner.update, batch), partial(settled, learner, start))
-    took = turns({"torch": ours, "jax": lambda: timed(partial(whole, jax.random.key(0)))}, ground.repeats)
+    took = turns({"torch": ours, "jax": lambda: timed(partial(whole, team, same, jax.random.key(0)))}, ground.repeats)
     settled(learner, start)
     moved, told = jax.jit(update)(team, same, happo_jax.permutations_of(learner, size))
     found = learner.update(batch)
@@ -186,7 +187,7 @@ def plain_jax(ground: Ground) -> dict:
         "update_seconds": {name: spread(each[:, 0], 5) for name, each in took.items()}, "samples": size,
         "max_parameter_difference": happo_jax.gap(moved, after), "max_parameter_change": happo_jax.gap(team, after),
         "policy_loss": [found["policy_loss"], float(told["policy_loss"])],
-        "value_loss": [found["value_loss"], float(told["value_loss"])],
+        "value_loss": [found["value_loss"], float(told["critic_loss"])],
     } | ratio(took["torch"], took["jax"])  # fmt: skip
 
 
@@ -237,8 +238,8 @@ def decisions_per_second(loop: Loop, seconds: float) -> float:
 def of_league(ground: Ground, where: Path, seconds: int) -> dict:
     """Run a league in processes of its own and read its store.
 
-    `in_turns` is decisions/s as the learning curves count time. `all_told` also counts what lies between turns: from the
-    first to the last of the checkpoints that are kept, as the store dates them.
+    `in_turns` is decisions/s as the learning curves count time. `all_told` also counts what lies between turns: from
+    the first to the last of the checkpoints that are kept, as the store dates them.
     """
     command = [
         sys.executable, "-m", "league", "run", "--store", str(where), "--league", LEAGUE,
