@@ -17,13 +17,16 @@ from jax import Array
 from agents.batch import Batch
 from agents.bridge import team_batch, to_jax
 from agents.happo import Learner
+from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_rollout
 from benchmarks.record import spread
 from benchmarks.replay import Pair, clocks
 from league.config.experiment import Config
-from league.policies import Policy, seat
+from league.policies import seat
 from league.prepare import players_of
 from league.train import Trainer
+
+Verb = Callable[[Worlds, Array], tuple[Worlds, Trajectory]]  # goes on from worlds by one rollout, with this key
 
 
 class Ground:
@@ -60,27 +63,27 @@ class Loop:
 
     def __init__(self, ground: Ground, frozen: list[list[Learner]] | None = None):
         self.ground, self.learners = ground, ground.learners()
-        self.frozen = [[to_jax(learner.policies()) for learner in teams] for teams in frozen or []]
         self.learning = self.learners[:1] if frozen else self.learners
-        self.number = ground.worlds // max(1, len(self.frozen)) * max(1, len(self.frozen))
+        self.frozen = [[to_jax(learner.policies()) for learner in teams] for teams in frozen or []]
+        self.groups = len(self.frozen) or 1
+        self.worlds = ground.worlds // self.groups * self.groups
         self._keys = (jax.random.key(2000 + i) for i in count())
-        self.now: Worlds = ground.reset(jax.random.split(jax.random.key(0), self.number))
+        self.now: Worlds = ground.reset(jax.random.split(jax.random.key(0), self.worlds))
         self.seated = self._seated()
         timing = ground.arena.timing
         for _ in range(1 + round(ground.args.warm / (timing.control_interval * ground.steps))):
-            self.play()
+            self.play(self.roll)
 
-    def _seated(self) -> dict:
+    def _seated(self) -> dict[str, Crew]:
         """The crews of the policies as they are now."""
-        now: list[list[Policy]] = [list(to_jax(learner.policies())) for learner in self.learners[: len(self.learning)]]
-        groups = max(1, len(self.frozen))
-        seats = [[policies] * groups for policies in now]
-        seats += [[teams[t] for teams in self.frozen] for t in range(len(now), len(self.learners))]
+        seats = [[to_jax(learner.policies())] * self.groups for learner in self.learning]
+        seats += [[teams[t] for teams in self.frozen] for t in range(len(seats), len(self.learners))]
         return seat(self.ground.arena.teams, seats)
 
     def batch(self, team: int, trajectory: Trajectory, worlds: slice | np.ndarray = slice(None)) -> Batch:
         """What a team learns from."""
-        return team_batch(trajectory, self.ground.arena.teams[team], team, worlds, 1.0)
+        shaping = 1.0  # the whole dense reward, as at the start of a league
+        return team_batch(trajectory, self.ground.arena.teams[team], team, worlds, shaping)
 
     def roll(self, now: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
         """A rollout with the policies as they were seated last."""
@@ -94,16 +97,16 @@ class Loop:
         self.seated = self._seated()
         return now, trajectory
 
-    def play(self, how: Callable[[Worlds, Array], tuple[Worlds, Trajectory]] | None = None) -> np.ndarray:
+    def play(self, how: Verb) -> np.ndarray:
         """Go on by `roll` or `learn`; seconds (wall, CPU)."""
         key = next(self._keys)
         jax.block_until_ready((self.now, key))
         began = clocks()
-        self.now, self.trajectory = jax.block_until_ready((how or self.roll)(self.now, key))
+        self.now, self.trajectory = jax.block_until_ready(how(self.now, key))
         jax.block_until_ready(self.seated)
         return clocks() - began
 
-    def beside_bare(self, how: Callable[[Worlds, Array], tuple[Worlds, Trajectory]]) -> dict:
+    def beside_bare(self, how: Verb) -> dict:
         """The same beside the bare engine."""
         took: dict[str, list[np.ndarray]] = {"whole": [], "bare": []}
         for _ in range(self.ground.repeats + 1):
@@ -112,7 +115,7 @@ class Loop:
             took["whole"].append(stretch.whole)
             took["bare"].append(stretch.bare)
         seconds = {name: np.array(each[1:]) for name, each in took.items()}
-        return speeds(seconds, self.number * self.ground.steps) | ratio(seconds["bare"], seconds["whole"])
+        return speeds(seconds, self.worlds * self.ground.steps) | ratio(seconds["bare"], seconds["whole"])
 
 
 def turns(parts: Mapping[str, Callable[[], np.ndarray]], repeats: int) -> dict[str, np.ndarray]:

@@ -58,8 +58,7 @@ PAST = ["--training.opponents.kind", "uniform", "--training.opponents.past", "0.
 def main() -> None:
     """Measure and write the JSON after each row."""
     args = arguments()
-    if jax.default_backend() == "cpu":
-        torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))  # as in a worker of a league
+    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))  # as in a worker of a league
     result = {
         "command": " ".join(["python", *sys.argv]), "commit": args.commit or commit(), "machine": machine(),
         "versions": versions(), "rows": [],
@@ -112,8 +111,8 @@ def rollout(ground: Ground) -> dict:
 def training(ground: Ground) -> dict:
     """Rollout and updates over rollout alone."""
     loop = ground.loop
-    took = turns({"rollout": loop.play, "training": partial(loop.play, loop.learn)}, ground.repeats)
-    return speeds(took, loop.number * ground.steps) | ratio(took["rollout"], took["training"])
+    took = turns({"rollout": partial(loop.play, loop.roll), "training": partial(loop.play, loop.learn)}, ground.repeats)
+    return speeds(took, loop.worlds * ground.steps) | ratio(took["rollout"], took["training"])
 
 
 def busy(ground: Ground) -> dict:
@@ -129,6 +128,8 @@ def busy(ground: Ground) -> dict:
         wall.append(timed(partial(learner.update, batch), partial(settled, learner, start)))
         settled(learner, start)
         kernels.append(profiled(partial(learner.update, batch)))
+    if not kernels[-1]["kernels"]:
+        return {"ratio": None, "why": "torch's profiler saw no kernels here"}
     wall, seconds = np.array(wall[1:])[:, 0], np.array([each["seconds"] for each in kernels[1:]])
     return {
         "ratio": spread(wall / seconds), "update_seconds": spread(wall, 5), "busy_seconds": spread(seconds, 5),
@@ -164,7 +165,7 @@ def profiled(verb: Callable[[], object]) -> dict:
 def plain_jax(ground: Ground) -> dict:
     """One team's update over the same in plain JAX, from the same state every time."""
     loop = ground.loop
-    loop.play()  # with the policies as they are now
+    loop.play(loop.roll)  # with the policies as they are now
     if not all(each.all() for each in loop.trajectory.alive.values()):
         return {"ratio": None, "why": "agents may leave this game, and the update in JAX has no masks"}
     learner = ground.learners(fixed_order=True)[0]
@@ -193,13 +194,19 @@ def plain_jax(ground: Ground) -> dict:
 
 def opponents(ground: Ground) -> dict:
     """Training against K frozen opponents over training against one."""
-    frozen = [ground.learners(2 + k) for k in range(max(k for k in OPPONENTS if k <= ground.worlds))]
-    loops = {k: Loop(ground, frozen[:k]) for k in (1, *OPPONENTS) if k <= ground.worlds}
+    several = [k for k in OPPONENTS if k <= ground.worlds]
+    if not several or len(ground.arena.teams) == 1:
+        return {
+            "ratio": None,
+            "why": f"{ground.worlds} worlds of {len(ground.arena.teams)} teams have no groups for them",
+        }
+    frozen = [ground.learners(2 + k) for k in range(max(several))]
+    loops = {k: Loop(ground, frozen[:k]) for k in (1, *several)}
     took = turns({str(k): partial(loop.play, loop.learn) for k, loop in loops.items()}, ground.repeats)
-    each = {k: took[str(k)] / (loop.number * ground.steps) for k, loop in loops.items()}  # s for a step
+    each = {k: took[str(k)] / (loop.worlds * ground.steps) for k, loop in loops.items()}  # s for a step
     return {
         "steps_per_second": {str(k): spread(1 / of[:, 0], 0) for k, of in each.items()},
-        "of": {str(k): ratio(each[1], each[k]) for k in loops if k > 1},
+        "of": {str(k): ratio(each[1], each[k]) for k in several},
     }
 
 
@@ -217,11 +224,10 @@ def league(ground: Ground) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         found = of_league(ground, Path(folder, "store"), seconds)
     fixed.append(decisions_per_second(loop, seconds / 2))
-    rates = {name: found.pop(name) for name in ("in_turns", "all_told")}
+    told = {name: found[name] / np.array(fixed) for name in ("in_turns", "all_told") if found[name]}
     return {
-        "decisions_per_second": {"fixed": spread(fixed, 0), **{k: round(v) for k, v in rates.items()}},
-        "ratio": spread(rates["in_turns"] / np.array(fixed)),
-        "ratio_all_told": spread(rates["all_told"] / np.array(fixed)), **found,
+        "ratio": spread(told["in_turns"]), "ratio_all_told": spread(told["all_told"]) if "all_told" in told else None,
+        "decisions_per_second": {"fixed": spread(fixed, 0)}, "league": found,
     }  # fmt: skip
 
 
@@ -232,32 +238,33 @@ def decisions_per_second(loop: Loop, seconds: float) -> float:
     while time.perf_counter() - began < seconds:
         loop.play(loop.learn)
         iterations += 1
-    return iterations * loop.ground.args.decisions * loop.number / (time.perf_counter() - began)
+    return iterations * loop.ground.args.decisions * loop.worlds / (time.perf_counter() - began)
 
 
 def of_league(ground: Ground, where: Path, seconds: int) -> dict:
-    """Run a league in processes of its own and read its store.
+    """Run a league in processes of its own, which share the device while nothing else is measured; read its store.
 
     `in_turns` is decisions/s as the learning curves count time. `all_told` also counts what lies between turns: from
-    the first to the last of the checkpoints that are kept, as the store dates them.
+    the first to the last of the checkpoints that are kept, as the store dates them; None where that is one.
     """
+    flags = PAST if len(ground.arena.teams) > 1 else []
     command = [
         sys.executable, "-m", "league", "run", "--store", str(where), "--league", LEAGUE,
         "--arena.name", ground.arena.name, "--engine", ground.arena.engine.name, "--for", f"{seconds}s",
-        "--budget.rate", "15s", "--training.worlds", str(ground.worlds),
-        "--training.rollout", str(ground.args.decisions), *PAST,
+        "--budget.rate", "0s", "--training.worlds", str(ground.worlds),
+        "--training.rollout", str(ground.args.decisions), *flags,
     ]  # fmt: skip
     subprocess.run(command, cwd=sys.path[0], check=True, stdout=subprocess.DEVNULL)
     with Store.open(where) as store:
         last = max(store.curves(LEAGUE), key=lambda point: point.seconds)
         kept = [c for c in store.checkpoints(LEAGUE) if c.player == last.player and c.iteration > 0]
-        matches = store.matches(LEAGUE)
+        span, matches = kept[-1].created - kept[0].created, store.matches(LEAGUE)
         return {
-            "in_turns": last.step / last.seconds,
-            "all_told": (kept[-1].step - kept[0].step) / (kept[-1].created - kept[0].created or np.nan),
+            "in_turns": round(last.step / last.seconds),
+            "all_told": round((kept[-1].step - kept[0].step) / span) if span else None,
             "iterations": last.iteration, "past_share": round(last.values["past_share"], 3),
             "snapshots": len(store.snapshots(LEAGUE)), "recordings": sum(m.recording is not None for m in matches),
-            "rated_episodes": sum(m.wins + m.draws + m.losses for m in matches), "flags": PAST,
+            "rated_episodes": sum(m.wins + m.draws + m.losses for m in matches), "flags": flags,
         }  # fmt: skip
 
 
