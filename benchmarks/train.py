@@ -4,17 +4,21 @@
     python benchmarks/train.py --worlds 4096 16384 --seconds 120 --out benchmarks/results/train-h100.json
 
 What a row compares takes turns, `--repeats` times after one turn that compiles and is not counted; a ratio is that of
-each pair of turns, by the wall's clock and by CPU time. Speeds are control steps/s, of all worlds together. The rows:
+each pair of turns, by the wall's clock and by CPU time. Speeds are control steps/s of all worlds together, in `league`
+decisions/s. The rows:
 
 - rollout: rollout of the learning policies of all teams / the bare engine that replays the same controls
 - training: rollout and updates of all teams / that rollout alone
 - busy: seconds of one team's update / seconds of GPU kernels within it, as torch's profiler has them (GPU only)
-- jax: seconds of one team's update / those of the same update in plain JAX, compiled whole (benchmarks/happo_jax.py)
+- jax: seconds of one team's update / those of the same update in plain JAX, compiled whole (benchmarks/happo_jax.py),
+  and how far apart the two end from the same parameters, batch and permutations
 - opponents: rollout and one team's update against K frozen opponents / against one
-- league: a `league run` with past opponents, snapshots, store, rating and recording / rollout and updates alone
+- league: a `league run` with past opponents, snapshots, store, rating and recording / rollout and updates alone, before
+  and after it; by its curves, which count time within turns, and by the store's dates, which count all
 - quickstart: training in the quick start's league / the bare engine that replays the same controls (CPU only)
 
-Policies are fresh ones with the league's default learner, and learn while they are measured.
+Policies are fresh ones with the league's default learner, and go on learning from row to row. Only the league has
+processes of its own.
 """
 
 import argparse
