@@ -225,7 +225,10 @@ def _forward(network: Network, head: str, c: HappoConfig, x: Array) -> Array:
     weights, fixed = network.weights, network.buffers
     x = (x - fixed["trunk.observation_mean"]) / jnp.sqrt(jnp.maximum(fixed["trunk.observation_var"], VARIANCE_FLOOR))
     x = jnp.clip(x, -fixed["trunk.observation_clip"], fixed["trunk.observation_clip"])
-    linear = lambda name, x: jnp.matmul(x, weights[f"{name}.weight"].T, precision="highest") + weights[f"{name}.bias"]  # noqa: E731
+
+    def linear(name: str, x: Array) -> Array:
+        return jnp.matmul(x, weights[f"{name}.weight"].T, precision="highest") + weights[f"{name}.bias"]
+
     for i in range(len(c.architecture.hidden)):
         x = ACTIVATIONS[c.architecture.activation](linear(f"trunk.hidden.{i}", x))
     return linear(head, x)
