@@ -25,6 +25,7 @@ import resource
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ from agents.settings import Architecture, HappoConfig  # noqa: E402
 from arenas.arena import Arena  # noqa: E402
 from arenas.errors import ArenaError  # noqa: E402
 from benchmarks.record import commit, machine, spread, tail  # noqa: E402
-from benchmarks.replay import Accelerated, bare, cap_errors, clocks, counts, make_record  # noqa: E402
+from benchmarks.replay import Accelerated, Pair, cap_errors, counts  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
 from league.policies import seat, thaw  # noqa: E402
 from league.standing import Standing  # noqa: E402
@@ -123,7 +124,7 @@ def league(args: argparse.Namespace, store: Store) -> str:
 def measure(args: argparse.Namespace, name: str, engine: str, worlds: int) -> dict:
     """All about one arena on one engine with so many worlds."""
     arena, crews, who = cast(args, name, engine, worlds)
-    rollout, record = make_rollout(arena, args.decisions), make_record(arena, args.decisions)
+    rollout = make_rollout(arena, args.decisions)
     began = time.perf_counter()
     now = make_reset(arena)(jax.random.split(jax.random.key(0), worlds))
     now, _ = jax.block_until_ready(rollout(crews, now, jax.random.key(1)))
@@ -131,24 +132,18 @@ def measure(args: argparse.Namespace, name: str, engine: str, worlds: int) -> di
     decision = arena.timing.control_interval * arena.timing.hold
     for i in range(round(args.warm / decision / args.decisions)):
         now, _ = rollout(crews, now, jax.random.key(1000 + i))
-    alone, steps = bare(arena, worlds), worlds * args.decisions * arena.timing.hold
+    pair, steps = Pair(arena, worlds, args.decisions), worlds * args.decisions * arena.timing.hold
     took: dict[str, list[np.ndarray]] = {"whole": [], "bare": []}  # (wall, CPU) s
     seen: list[dict[str, np.ndarray]] = []
     ends = {"terminated": 0, "truncated": 0, "void": 0}
     play = None
     for i in range(args.repeats + 1):  # the first one compiles
-        key, before = jax.random.key(2000 + i), jax.tree.map(jnp.copy, now.state)
-        jax.block_until_ready((now, before))
-        began = clocks()
-        now, trajectory = jax.block_until_ready(rollout(crews, now, key))
-        whole = clocks() - began
-        play = jax.block_until_ready(record(before, trajectory, key))
-        replayed = alone.seconds(play)
+        now, trajectory, play, whole, replayed = pair.stretch(partial(rollout, crews), now, jax.random.key(2000 + i))
         if i == 0:
             continue
         took["whole"].append(whole)
         took["bare"].append(replayed)
-        told = alone.told(play) if isinstance(alone, Accelerated) else {}
+        told = pair.alone.told(play) if isinstance(pair.alone, Accelerated) else {}
         seen.append(counts(arena.scene.model, play) | told)
         for end in ends:
             cuts = trajectory.cut if end == "truncated" else False

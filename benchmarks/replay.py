@@ -6,7 +6,7 @@ have fewer contacts than robots that fight, and a step of theirs costs two third
 
 import copy
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from jax import Array
 from mujoco import mjx
 from mujoco.batch import Batch
 
-from agents.rollout import Trajectory
+from agents.rollout import Trajectory, Worlds
 from arenas.arena import Arena
 from arenas.physics import Physics
 from arenas.xla import LOST, MjxEngine
@@ -165,6 +165,33 @@ def bare(arena: Arena, worlds: int) -> Native | Accelerated:
     if isinstance(arena.engine, MjxEngine):
         return Accelerated(arena.engine)
     return Native(arena.scene.model, worlds)
+
+
+class Stretch(NamedTuple):
+    """A stretch of play that was timed, and then its replay."""
+
+    worlds: Worlds  # as they are after it
+    trajectory: Trajectory
+    play: Play
+    whole: np.ndarray  # (wall, CPU) s of all that was done
+    bare: np.ndarray  # and of the bare engine
+
+
+class Pair:
+    """Anything that rolls out `length` decisions of an arena, and the bare engine right after it: they take turns."""
+
+    def __init__(self, arena: Arena, worlds: int, length: int):
+        self.record, self.alone = make_record(arena, length), bare(arena, worlds)
+
+    def stretch(self, whole: Callable[[Worlds, Array], tuple[Worlds, Trajectory]], now: Worlds, key: Array) -> Stretch:
+        """Time `whole(now, key)`, whose rollout is that of `make_rollout` with this key, and its replay."""
+        before = jax.tree.map(jnp.copy, now.state)
+        jax.block_until_ready((now, before))
+        began = clocks()
+        now, trajectory = jax.block_until_ready(whole(now, key))
+        took = clocks() - began
+        play = jax.block_until_ready(self.record(before, trajectory, key))
+        return Stretch(now, trajectory, play, took, self.alone.seconds(play))
 
 
 def counts(model: mujoco.MjModel, play: Play) -> dict[str, np.ndarray]:
