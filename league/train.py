@@ -31,9 +31,9 @@ from league.config.sections import named_players
 from league.jobs import TrainingTurn
 from league.lineup import Lineup
 from league.policies import freeze
-from matchmaking.schedule import next_due
+from matchmaking.schedule import Learnt, next_due, remaining
 from storage import arrays
-from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -85,10 +85,13 @@ class Trainer:
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so.
 
-        Raises PlayerDiverged where a player's learning went bad.
+        The turn also ends with its phase, where that is counted in environment steps: how many an iteration has depends
+        on the worlds of this machine. Raises PlayerDiverged where a player's learning went bad.
         """
         self._restore(store, turn)
         self.interrupted = False
+        phase = store.phases(next(iter(self.players.values())).league).get(turn.group)
+        phase = phase if phase is not None and phase.number == turn.phase else None
         if turn.iterations == 0:
             self._begin(store, turn)
             return
@@ -108,7 +111,7 @@ class Trainer:
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
             yield Progress({name: self.counters[name] for name in turn.learners}, steps / elapsed, points)
-            if self._enough(turn, before):
+            if self._enough(turn, before) or self._is_over(phase):
                 break
             if left and stop():
                 self.interrupted = True
@@ -272,6 +275,11 @@ class Trainer:
             return True
         marks = () if self.config.deterministic else self.config.rating.milestone_seconds
         return any(before[n].seconds < mark <= self.counters[n].seconds for n in turn.learners for mark in marks)
+
+    def _is_over(self, phase: Phase | None) -> bool:
+        """Whether the phase's learner has learnt as much as the phase asks for; the plan finds the same afterwards."""
+        at = {name: Learnt(c.iteration, c.steps) for name, c in self.counters.items()}
+        return phase is not None and remaining(phase, at) == 0
 
     def _spent(self, turn: TrainingTurn) -> bool:
         """Whether the group has had its budget; `plan.spent` says the same of what the store holds."""

@@ -36,6 +36,7 @@ def test_what_a_file_leaves_out_is_as_the_named_arena_has_it():
         ('[learner]\n\nlr = "fast"\n', 'league.toml:3: learner.lr = "fast"'),
         ("[arena.rules]\nradiuss = 2\n", "league.toml:2: unknown key arena.rules.radiuss"),
         ('[training.schedule]\nkind = "leapfrogg"\n', "leapfrog"),
+        ("[training.schedule]\nperiod_steps = 0\n", "period_steps is 0; a turn lasts 1 environment step or more"),
         ("[arena.rules]\ntimestep = 0.013\n", "no whole number"),
         ("[rating]\nworlds = 100\n", "must be a multiple of 2 × rating.pairings, 8"),
         ('[rating]\nmilestones = ["soon"]\n', '"soon" is not a duration'),

@@ -83,8 +83,9 @@ def test_turns_end_where_snapshots_are_due_and_never_last_longer_than_a_crash_ma
     assert ends == [1, 2, 4, 8, 16, 32, 48, 64, 80]
 
 
-def test_leapfrog_passes_on_after_the_learners_own_iterations_and_the_store_holds_the_phase():
-    config = training(turn=100, schedule=Schedule("leapfrog", period=5))
+@pytest.mark.parametrize("schedule", [Schedule("leapfrog", period=5), Schedule("leapfrog", period_steps=5 * 8192 - 1)])
+def test_leapfrog_passes_on_after_what_the_learner_learnt_itself_and_the_store_holds_the_phase(schedule):
+    config = training(turn=100, schedule=schedule)
     at, phases, seen = {"blue": 0, "red": 0}, {}, []
     while sum(at.values()) < 20:
         planned = plan.next_turns(config, standing(checkpoints=checkpoints(at), phases=phases))
@@ -96,6 +97,16 @@ def test_leapfrog_passes_on_after_the_learners_own_iterations_and_the_store_hold
         at[learner] += turn.iterations
         seen += [learner] * turn.iterations
     assert seen == ["blue"] * 5 + ["red"] * 5 + ["blue"] * 5 + ["red"] * 5
+
+
+def test_a_phase_by_steps_bounds_its_turns_where_the_number_of_worlds_is_set():
+    at = checkpoints({"blue": 40, "red": 8})
+    phase = Phase("quickstart", "1", 4, ("blue",), {"blue": 38, "red": 8}, {"step": 43 * 8192 - 100})
+    state = standing(checkpoints=at, phases={"1": phase})
+    for worlds, iterations in ((256, 3), (128, 6), (None, 16)):  # none: each machine has its own, and its trainer looks
+        config = training(schedule=Schedule("leapfrog", period_steps=1))
+        (turn,) = turns(replace(config, training=replace(config.training, worlds=worlds)), state)
+        assert (turn.learners, turn.phase, turn.iterations) == (("blue",), 4, iterations)
 
 
 def test_one_open_turn_for_each_group_and_none_when_its_budget_is_spent():

@@ -125,6 +125,19 @@ def test_in_leapfrog_one_learns_while_the_others_actors_stay_byte_for_byte(store
     assert any((states[-1]["critic.value.weight"] != states[0]["critic.value.weight"]).ravel())
 
 
+def test_leapfrog_by_steps_ends_a_turn_with_the_iteration_that_reaches_them_on_this_machines_worlds(store, arena):
+    config = settings(Schedule("leapfrog", period_steps=2 * 16 * 8 + 1))
+    unset = replace(config, training=replace(config.training, worlds=None))
+    learnt, trainer = [], None
+    for number in range(9):
+        if number in (0, 4):  # in the middle of red's first turn, as after a kill
+            trainer = Trainer(config, arena, store.players(LEAGUE), 16)
+        lease, turn = claim(store, unset)
+        learnt += [turn.learners] * sum(1 for _ in trainer.turn(store, turn, lambda: False))
+        trainer.commit(store, lease, turn)
+    assert learnt[:9] == [("blue",)] * 3 + [("red",)] * 3 + [("blue",)] * 3
+
+
 def test_where_resting_critics_stand_still_a_resting_player_leaves_no_checkpoint(store, arena):
     turns(store, settings(Schedule("leapfrog", period=2), resting_critics=False), arena, 5)
     rows = Counter((c.player, c.iteration) for c in store.checkpoints(LEAGUE))
