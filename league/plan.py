@@ -45,11 +45,11 @@ def groups(standing: Standing) -> dict[str, list[Player]]:
 def spent(config: Config, standing: Standing, group: str) -> tuple[float, int]:
     """Seconds and environment steps that a group has been trained for.
 
-    A player's own count only grows while it learns: where all learn at once the group's is that of the one that has
-    come furthest, where they take turns it is the sum.
+    A player's own count only grows while it learns: where they take turns the group's is the sum, else that of the one
+    that has come furthest.
     """
     own = [standing.checkpoints[p.name] for p in groups(standing)[group] if p.name in standing.checkpoints]
-    total = max if config.training.schedule.kind == "simultaneous" else sum
+    total = sum if config.training.schedule.adds_up else max
     return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
 
 

@@ -12,25 +12,26 @@ from matchmaking.payoff import Payoff
 from matchmaking.ratings import ELO
 from storage.records import Phase
 
-Kind = Literal["simultaneous", "leapfrog", "frozen"]
+Kind = Literal["simultaneous", "leapfrog", "ladder", "frozen"]
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which teams learn: all of them, one after the other, or one against frozen opponents for ever."""
+    """Which teams learn: all of them, one after the other, or one alone, whom the others copy now and then or never."""
 
     kind: Kind = "simultaneous"
-    """simultaneous: every team learns; leapfrog: the teams take turns; frozen: only `learner` ever learns."""
+    """simultaneous: every team learns; leapfrog: the teams take turns; ladder: only `learner` learns, and after each
+    period the other teams take over its policies; frozen: only `learner` ever learns."""
 
     period: int = 50
-    """Leapfrog: learning iterations in a team's turn."""
+    """Leapfrog: learning iterations in a team's turn. Ladder: between two copies."""
 
     period_steps: int | None = None
-    """Leapfrog: a turn ends after the first iteration by which its team has learnt in it from so many environment steps
-    (decisions × worlds), as HARL counts (none: by `period`)."""
+    """The same in environment steps (decisions × worlds), as HARL counts: it ends after the first iteration by which
+    the team has learnt in it from so many (none: by `period`)."""
 
     learner: int = 0
-    """The team that learns first (leapfrog) or alone (frozen), counted from 0."""
+    """The team that learns first (leapfrog) or alone (ladder, frozen), counted from 0."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -41,6 +42,14 @@ class Schedule:
             raise ValueError(f"period_steps is {self.period_steps}; a turn lasts 1 environment step or more")
         if self.learner < 0:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
+
+    @property
+    def adds_up(self) -> bool:
+        """Whether a group has learnt for the sum of its players' own counts of steps and seconds, which grow in turn.
+
+        Else for the largest: they grow together, or are the learner's that were copied.
+        """
+        return self.kind in ("leapfrog", "frozen")
 
 
 class Learnt(NamedTuple):
@@ -62,8 +71,7 @@ def first_phase(
         able: team -> the group's player in it; a player that is paused is left out, and so never learns.
         learnt: player -> how much it has learnt by now, for every player of the group, paused or not.
     """
-    start = able.get(_next_team(schedule.learner, able)) if schedule.kind == "leapfrog" else None
-    return _phase(schedule, league, group, 0, able, learnt, start)
+    return _phase(schedule, league, group, 0, able, learnt, _counted(schedule, None, able, learnt))
 
 
 def next_phase(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt: Mapping[str, Learnt]) -> Phase | None:
@@ -71,13 +79,14 @@ def next_phase(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt
 
     A phase ends by what its `until` says, when one of its learners is paused, and when the schedule no longer fits it,
     be it that a paused player goes on or that the settings were changed. In leapfrog the turn passes to the next team;
-    a learner that can go on no longer hands over to whoever has learnt least. Where nobody can learn, the phase that
-    follows has no learners, and lasts until somebody can.
+    a learner that can go on no longer hands over to whoever has learnt least. In ladder the same team learns on; the
+    end of a phase is when the others take over its policies. Where nobody can learn, the phase that follows has no
+    learners, and lasts until somebody can.
     """
-    leaper = _leaper(schedule, phase, able, learnt) if schedule.kind == "leapfrog" else None
-    if (leaper,) == phase.learners and remaining(phase, learnt):
+    counted = _counted(schedule, phase, able, learnt)
+    if (counted,) == phase.learners and remaining(phase, learnt):
         return None  # its turn goes on
-    following = _phase(schedule, phase.league, phase.group, phase.number + 1, able, learnt, leaper)
+    following = _phase(schedule, phase.league, phase.group, phase.number + 1, able, learnt, counted)
     lasts = not following.until and not phase.until
     return None if lasts and following.learners == phase.learners else following
 
@@ -96,9 +105,24 @@ def remaining(phase: Phase, learnt: Mapping[str, Learnt]) -> int | None:
     return max(0, phase.since.get(learner, 0) + phase.until["iterations"] - now.iterations)
 
 
-def _leaper(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt: Mapping[str, Learnt]) -> str | None:
+def _counted(
+    schedule: Schedule, phase: Phase | None, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+) -> str | None:
+    """Who learns until a count is reached, in a schedule that has such phases, if anybody can."""
+    match schedule.kind:
+        case "leapfrog":
+            return _leaper(schedule, phase, able, learnt)
+        case "ladder":
+            return able.get(schedule.learner)
+        case "simultaneous" | "frozen":
+            return None
+
+
+def _leaper(
+    schedule: Schedule, phase: Phase | None, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+) -> str | None:
     """Whose turn it is in leapfrog, if anybody can learn."""
-    if not phase.until:  # another schedule's, or one of nobody: begin
+    if phase is None or not phase.until:  # the first one, another schedule's, or one of nobody: begin
         return able.get(_next_team(schedule.learner, able))
     now = next((team for team, player in able.items() if player in phase.learners), None)
     if now is None:
@@ -109,17 +133,17 @@ def _leaper(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt: M
 
 def _phase(
     schedule: Schedule, league: str, group: str, number: int, able: Mapping[int, str], learnt: Mapping[str, Learnt],
-    leaper: str | None,
+    counted: str | None,
 ) -> Phase:  # fmt: skip
-    """A phase that begins now; in leapfrog `leaper` learns, if anybody can."""
+    """A phase that begins now; in leapfrog and ladder `counted` learns, if anybody can."""
     match schedule.kind:
         case "simultaneous":
             learners = tuple(able[team] for team in sorted(able))
         case "frozen":
             learners = (able[schedule.learner],) if schedule.learner in able else ()
-        case "leapfrog":
-            learners = () if leaper is None else (leaper,)
-    until = {} if leaper is None else _until(schedule, learnt.get(leaper, Learnt()))
+        case "leapfrog" | "ladder":
+            learners = () if counted is None else (counted,)
+    until = {} if counted is None else _until(schedule, learnt.get(counted, Learnt()))
     return Phase(league, group, number, learners, {name: each.iterations for name, each in learnt.items()}, until)
 
 

@@ -99,6 +99,25 @@ def test_leapfrog_passes_on_after_what_the_learner_learnt_itself_and_the_store_h
     assert seen == ["blue"] * 5 + ["red"] * 5 + ["blue"] * 5 + ["red"] * 5
 
 
+@pytest.mark.parametrize("schedule", [Schedule("ladder", period=3), Schedule("ladder", period_steps=3 * 8192)])
+def test_in_ladder_turns_end_with_the_phase_and_the_copies_are_no_learning_of_their_own(schedule):
+    config = replace(training(turn=100, schedule=schedule), budget=configuration.Budget(steps=12 * 8192))
+    at, phases, ends = 0, {}, []
+    while at < 12:
+        copied = at - at % 3  # what the other player has taken over by then
+        state = standing(checkpoints=checkpoints({"blue": at, "red": copied}), phases=phases)
+        planned = plan.next_turns(config, state)
+        (phase,), (job,) = planned.phases, planned.jobs
+        phases, turn = {"1": phase}, decode(job)
+        assert (turn.learners, turn.phase) == (("blue",), at // 3)
+        at += turn.iterations
+        ends.append(at)
+    assert ends == [1, 2, 3, 4, 6, 8, 9, 12]
+    state = standing(checkpoints=checkpoints({"blue": 12, "red": 12}), phases=phases)
+    assert plan.spent(config, state, "1") == (0.0, 12 * 8192)
+    assert not turns(config, state)
+
+
 def test_a_phase_by_steps_bounds_its_turns_where_the_number_of_worlds_is_set():
     at = checkpoints({"blue": 40, "red": 8})
     phase = Phase("quickstart", "1", 4, ("blue",), {"blue": 38, "red": 8}, {"step": 43 * 8192 - 100})

@@ -73,6 +73,30 @@ def test_by_steps_a_player_that_went_back_learns_what_it_lost_again():
     assert next_phase(schedule, phase, TEAMS, learnt(blue=13)) is None
 
 
+@pytest.mark.parametrize("period", [{"period": 2}, {"period": 9, "period_steps": 150}])
+def test_in_ladder_one_team_learns_and_a_phase_ends_after_each_period(period):
+    schedule = Schedule("ladder", learner=1, **period)
+    seen, phase = live(schedule, 5)
+    assert seen == ["red"] * 5
+    assert (phase.number, phase.since["red"]) == (2, 4)
+    assert remaining(phase, learnt(red=5)) in (1, 50)
+    idle = next_phase(schedule, phase, {0: "blue", 2: "gold"}, learnt(red=5))
+    assert idle is not None
+    assert (idle.learners, idle.until) == ((), {})
+    assert next_phase(schedule, idle, {0: "blue", 2: "gold"}, learnt(red=5)) is None
+    again = next_phase(schedule, idle, TEAMS, learnt(red=5))
+    assert again is not None
+    assert (again.learners, again.since["red"]) == (("red",), 5)
+
+
+def test_ladder_cuts_another_teams_turn_and_lets_its_own_learner_finish():
+    leaping, ladder = begin(Schedule("leapfrog", period=4)), Schedule("ladder", period=2, learner=1)
+    cut = next_phase(ladder, leaping, TEAMS, learnt(blue=1))
+    assert cut is not None
+    assert (cut.learners, cut.until) == (("red",), {"iterations": 2})
+    assert next_phase(replace(ladder, learner=0), leaping, TEAMS, learnt(blue=1)) is None
+
+
 def test_simultaneous_and_frozen_never_change():
     for schedule, learners in ((Schedule(), "blue+red+gold"), (Schedule("frozen", learner=1), "red")):
         seen, phase = live(schedule, 99)
@@ -93,7 +117,7 @@ def test_who_is_paused_never_learns_and_the_phase_passes_on():
     assert begin(schedule, able={1: "red", 2: "gold"}).learners == ("red",)
 
 
-@pytest.mark.parametrize("schedule", [Schedule(), Schedule("leapfrog"), Schedule("frozen")])
+@pytest.mark.parametrize("schedule", [Schedule(), Schedule("leapfrog"), Schedule("ladder"), Schedule("frozen")])
 def test_where_nobody_can_learn_the_phase_waits_for_somebody(schedule):
     resting = next_phase(schedule, begin(schedule), {}, learnt(1, 1, 1))
     assert resting is not None
@@ -124,7 +148,7 @@ def test_a_player_that_went_back_learns_what_it_lost_again():
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"kind": "ladder"}, "leapfrog, frozen"),
+        ({"kind": "stairs"}, "leapfrog, ladder, frozen"),
         ({"period": 0}, "period"),
         ({"period_steps": 0}, "period_steps is 0"),
         ({"learner": -1}, "team"),
