@@ -16,7 +16,7 @@ from league.jobs import RatingMatch, TrainingTurn, decode, encode
 from league.measures import can_meet, initial_opponents, learnt_enough, newest_snapshots, yardsticks
 from league.standing import Standing
 from matchmaking.opponents import draw
-from matchmaking.schedule import first_phase, next_due, next_phase, pairings
+from matchmaking.schedule import Learnt, first_phase, next_due, next_phase, pairings, remaining
 from storage.records import Job, Phase, Player, Snapshot
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
@@ -45,11 +45,11 @@ def groups(standing: Standing) -> dict[str, list[Player]]:
 def spent(config: Config, standing: Standing, group: str) -> tuple[float, int]:
     """Seconds and environment steps that a group has been trained for.
 
-    A player's own count only grows while it learns: where all learn at once the group's is that of the one that has
-    come furthest, where they take turns it is the sum.
+    A player's own count only grows while it learns: where they take turns the group's is the sum, else that of the one
+    that has come furthest.
     """
     own = [standing.checkpoints[p.name] for p in groups(standing)[group] if p.name in standing.checkpoints]
-    total = max if config.training.schedule.kind == "simultaneous" else sum
+    total = sum if config.training.schedule.adds_up else max
     return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
 
 
@@ -123,16 +123,25 @@ def _turn(config: Config, standing: Standing, group: str, players: Sequence[Play
 
 
 def _iterations(config: Config, standing: Standing, group: str, learners: Sequence[Player], phase: Phase) -> int:
-    """A turn ends where a snapshot is due, the phase ends or enough would be lost; or with the step budget."""
+    """A turn ends where a snapshot is due, the phase ends or enough would be lost; or with the step budget.
+
+    Where every machine chooses its number of worlds, steps say nothing here: the trainer looks at them as it goes.
+    """
     training, at = config.training, [standing.checkpoints[p.name].iteration for p in learners]
     limits = [training.turn, *(next_due(i, training.snapshots_per_doubling) - i for i in at)]
-    if "iterations" in phase.until:
-        done = max(i - phase.since.get(p.name, 0) for p, i in zip(learners, at, strict=True))
-        limits.append(phase.until["iterations"] - done)
-    if config.budget.steps is not None and training.worlds is not None:
-        left = config.budget.steps - spent(config, standing, group)[1]
-        limits.append(-(-left // (training.worlds * training.rollout)))
+    left, steps = remaining(phase, _learnt(standing, learners)), []
+    if left is not None:
+        (steps if "step" in phase.until else limits).append(left)
+    if config.budget.steps is not None:
+        steps.append(config.budget.steps - spent(config, standing, group)[1])
+    if training.worlds is not None:
+        limits += [-(-n // (training.worlds * training.rollout)) for n in steps]
     return max(1, min(limits))
+
+
+def _learnt(standing: Standing, players: Sequence[Player]) -> dict[str, Learnt]:
+    at = {p.name: standing.checkpoints[p.name] for p in players}
+    return {name: Learnt(checkpoint.iteration, checkpoint.step) for name, checkpoint in at.items()}
 
 
 def _past(
@@ -177,11 +186,10 @@ def _phase(config: Config, standing: Standing, group: str) -> Phase:
     players = groups(standing)[group]
     schedule = config.training.schedule
     able = {p.team: p.name for p in players if p.paused is None}
-    iterations = {p.name: standing.checkpoints[p.name].iteration for p in players}
-    phase = standing.phases.get(group)
+    phase, learnt = standing.phases.get(group), _learnt(standing, players)
     if phase is None:
-        return first_phase(schedule, config.league, group, able, iterations)
-    return next_phase(schedule, phase, able, iterations) or phase
+        return first_phase(schedule, config.league, group, able, learnt)
+    return next_phase(schedule, phase, able, learnt) or phase
 
 
 def _seats(players: Sequence[Player], teams: int) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from arenas.blame import blame, sources
 from league import devices
 from league.config import experiment as configuration
 from league.config.experiment import Config
-from league.config.schema import ConfigError, refuse
+from league.config.schema import ConfigError, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.heirs import Misfit, heritage
 from storage.records import League, Player
@@ -118,6 +118,7 @@ def examine(config: Config) -> "Arena":
         told = f"{arena.name} has one team, and there are no others to see; use own"
         raise refuse(("learner", "critic_input"), config.learner.critic_input, told)
     _examine_players(config, teams)
+    _examine_ladder(config, arena)
     _examine_scripts(config, arena)
     _examine_device(config, arena)
     _examine_memory(config, arena)
@@ -237,6 +238,29 @@ def _examine_players(config: Config, teams: list[str]) -> None:
     idle = [team for team in teams if team not in {p.team for p in roster(config, teams)}]
     if idle:
         raise ConfigError(("players",), f"players: nobody plays team {idle[0]}; add a [[players]] table for it")
+
+
+def _examine_ladder(config: Config, arena: "Arena") -> None:
+    """What one team learns can be copied to another with the same robots in the same order, and the same networks."""
+    if config.training.schedule.kind != "ladder":
+        return
+    learner, widths = arena.teams[config.training.schedule.learner], config.learner.architecture.hidden
+    for team in arena.teams:
+        if team.roster != learner.roster:
+            told = (
+                f"what {learner.name} ({learner.roster}) learns cannot be copied to {team.name} ({team.roster}): ladder"
+                " needs equal rosters; use simultaneous, leapfrog or frozen"
+            )
+            raise refuse(("training", "schedule", "kind"), "ladder", told)
+    players = roster(config, [team.name for team in arena.teams])
+    copied = {p.group: p.hidden or widths for p in players if p.team == learner.name}
+    for i, player in enumerate(players):
+        own = player.hidden or widths
+        if own != (wanted := copied.get(player.group, own)):
+            told = (
+                f"ladder copies its group's {learner.name} here, whose widths are {literal(wanted)}; give both the same"
+            )
+            raise refuse(("players", str(i), "hidden"), own, told)
 
 
 def _scripts(config: Config, arena: "Arena") -> tuple[str, ...]:

@@ -31,9 +31,9 @@ from league.config.sections import named_players
 from league.jobs import TrainingTurn
 from league.lineup import Lineup
 from league.policies import freeze
-from matchmaking.schedule import next_due
+from matchmaking.schedule import Learnt, next_due, remaining
 from storage import arrays
-from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -73,7 +73,8 @@ class Trainer:
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
         self._points: list[CurvePoint] = []
-        self._parents: Mapping[str, str | None] = {}  # of players that go on from others
+        self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
+        self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
         self.interrupted = False  # whether the last turn was told to stop before its end
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
@@ -85,10 +86,13 @@ class Trainer:
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so.
 
-        Raises PlayerDiverged where a player's learning went bad.
+        The turn also ends with its phase, where that is counted in environment steps: how many an iteration has depends
+        on the worlds of this machine. Raises PlayerDiverged where a player's learning went bad.
         """
         self._restore(store, turn)
         self.interrupted = False
+        phase = store.phases(next(iter(self.players.values())).league).get(turn.group)
+        phase = phase if phase is not None and phase.number == turn.phase else None
         if turn.iterations == 0:
             self._begin(store, turn)
             return
@@ -108,19 +112,21 @@ class Trainer:
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
             yield Progress({name: self.counters[name] for name in turn.learners}, steps / elapsed, points)
-            if self._enough(turn, before):
+            if self._enough(turn, before) or self._is_over(phase):
                 break
             if left and stop():
                 self.interrupted = True
                 break
         self._worlds[turn.group] = worlds, lineup.seated
+        if phase is not None and self.config.training.schedule.kind == "ladder" and self._is_over(phase):
+            self._copy(store, turn, phase)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
         """Write the turn's checkpoints, curves, and snapshots where they are due, and end the job: one transaction.
 
         Raises LeaseLost if the job, or a player, has meanwhile gone on elsewhere; then nothing was written.
         """
-        learnt = [*turn.learners, *(self._resting(turn) if self.config.training.resting_critics else ())]
+        learnt = [*turn.learners, *(self._resting(turn) if self.config.training.resting_critics else self._copied)]
         key = ArenaKey(self.arena.name, self.arena.config_hash, self.arena.engine.name)
         checkpoints, snapshots = [], []
         for name in learnt:
@@ -212,9 +218,28 @@ class Trainer:
             found = heirs.of(store, list(self.players.values()), self.config.after, self.config.learner.critic_input)
             self._parents = {name: heirs.start(store, self.learners[name], found[name]) for name in turn.learners}
 
+    def _copy(self, store: Store, turn: TrainingTurn, phase: Phase) -> None:
+        """Ladder: the turn ends its phase, and the players that rest take over the learner's actors.
+
+        They are written with the learner's checkpoint, in the one transaction that makes the phase be over: so each
+        phase is followed by one copy, however often the league is killed. What they have learnt from is now what the
+        learner has; their iterations move on by the phase's, since a checkpoint is newest, and a snapshot new, by them.
+        Critics, optimisers and random numbers stay their own.
+        """
+        (learner,) = turn.learners
+        state, now = self.learners[learner].state(), self.counters[learner]
+        self._copied = tuple(self._resting(turn))
+        for name in self._copied:
+            agents, own = range(len(self.arena.teams[self.players[name].team].agents)), self.counters[name]
+            self.learners[name].inherit([(state, i) for i in agents], None)
+            iteration = own.iteration + now.iteration - phase.since.get(learner, 0)
+            self.counters[name] = Counters(iteration, max(own.steps, now.steps), max(own.seconds, now.seconds))
+        self._parents = dict.fromkeys(self._copied, store.snapshots(phase.league, learner)[-1].name)
+        self._worlds.pop(turn.group)  # an episode against two opponents in turn is neither's game
+
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
-        self._points = []
+        self._points, self._parents, self._copied = [], {}, ()
         league = next(iter(self.players.values())).league
         self.players = {player.name: player for player in store.players(league)}  # one may have been paused
         for name, digest in turn.bases.items():
@@ -273,9 +298,14 @@ class Trainer:
         marks = () if self.config.deterministic else self.config.rating.milestone_seconds
         return any(before[n].seconds < mark <= self.counters[n].seconds for n in turn.learners for mark in marks)
 
+    def _is_over(self, phase: Phase | None) -> bool:
+        """Whether the phase's learner has learnt as much as the phase asks for; the plan finds the same afterwards."""
+        at = {name: Learnt(c.iteration, c.steps) for name, c in self.counters.items()}
+        return phase is not None and remaining(phase, at) == 0
+
     def _spent(self, turn: TrainingTurn) -> bool:
         """Whether the group has had its budget; `plan.spent` says the same of what the store holds."""
-        total = max if self.config.training.schedule.kind == "simultaneous" else sum
+        total = sum if self.config.training.schedule.adds_up else max
         at = [self.counters[name] for name in turn.present if name]
         seconds = 0.0 if self.config.deterministic else total([c.seconds for c in at])
         return self.config.budget.spent(seconds, total([c.steps for c in at]))
@@ -287,7 +317,7 @@ class Trainer:
             return []
         at = self.counters[player.name]
         actors = [{k: v.cpu().numpy() for k, v in actor.items()} for actor in self.learners[player.name].policies()]
-        parent = kept[-1].name if kept else self._parents.get(player.name)
+        parent = self._parents.get(player.name, kept[-1].name if kept else None)
         return [
             Snapshot(
                 player.league, f"{player.name}@{at.iteration}", store.blobs.put(freeze(actors)), player.roster,

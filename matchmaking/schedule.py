@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -12,33 +12,55 @@ from matchmaking.payoff import Payoff
 from matchmaking.ratings import ELO
 from storage.records import Phase
 
-Kind = Literal["simultaneous", "leapfrog", "frozen"]
+Kind = Literal["simultaneous", "leapfrog", "ladder", "frozen"]
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which teams learn: all of them, one after the other, or one against frozen opponents for ever."""
+    """Which teams learn: all of them, one after the other, or one alone, whom the others copy now and then or never."""
 
     kind: Kind = "simultaneous"
-    """simultaneous: every team learns; leapfrog: the teams take turns; frozen: only `learner` ever learns."""
+    """simultaneous: every team learns; leapfrog: the teams take turns; ladder: only `learner` learns, and after each
+    period the other teams take over its policies; frozen: only `learner` ever learns."""
 
     period: int = 50
-    """Leapfrog: learning iterations in a team's turn."""
+    """Leapfrog: learning iterations in a team's turn. Ladder: between two copies."""
+
+    period_steps: int | None = None
+    """The same in environment steps (decisions × worlds), as HARL counts: it ends after the first iteration by which
+    the team has learnt in it from so many (none: by `period`)."""
 
     learner: int = 0
-    """The team that learns first (leapfrog) or alone (frozen), counted from 0."""
+    """The team that learns first (leapfrog) or alone (ladder, frozen), counted from 0."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise ValueError(f"kind is {self.kind!r}; choose one of {', '.join(get_args(Kind))}")
         if self.period < 1:
             raise ValueError(f"period is {self.period}; a turn lasts 1 iteration or more")
+        if self.period_steps is not None and self.period_steps < 1:
+            raise ValueError(f"period_steps is {self.period_steps}; a turn lasts 1 environment step or more")
         if self.learner < 0:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
 
+    @property
+    def adds_up(self) -> bool:
+        """Whether a group has learnt for the sum of its players' own counts of steps and seconds, which grow in turn.
+
+        Else for the largest: they grow together, or are the learner's that were copied.
+        """
+        return self.kind in ("leapfrog", "frozen")
+
+
+class Learnt(NamedTuple):
+    """How much a player has learnt, by its own counts: they grow only while it learns."""
+
+    iterations: int = 0
+    steps: int = 0  # environment steps: decisions × worlds
+
 
 def first_phase(
-    schedule: Schedule, league: str, group: str, able: Mapping[int, str], iterations: Mapping[str, int]
+    schedule: Schedule, league: str, group: str, able: Mapping[int, str], learnt: Mapping[str, Learnt]
 ) -> Phase:
     """The phase in which a group of players begins.
 
@@ -47,63 +69,89 @@ def first_phase(
         league: the league's name.
         group: the name of the group whose players learn together.
         able: team -> the group's player in it; a player that is paused is left out, and so never learns.
-        iterations: player -> its own iteration now, for every player of the group, paused or not.
+        learnt: player -> how much it has learnt by now, for every player of the group, paused or not.
     """
-    start = able.get(_next_team(schedule.learner, able)) if schedule.kind == "leapfrog" else None
-    return _phase(schedule, league, group, 0, able, iterations, start)
+    return _phase(schedule, league, group, 0, able, learnt, _counted(schedule, None, able, learnt))
 
 
-def next_phase(
-    schedule: Schedule, phase: Phase, able: Mapping[int, str], iterations: Mapping[str, int]
-) -> Phase | None:
+def next_phase(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt: Mapping[str, Learnt]) -> Phase | None:
     """The phase that follows now; None while `phase` goes on. Arguments are those of `first_phase`.
 
     A phase ends by what its `until` says, when one of its learners is paused, and when the schedule no longer fits it,
     be it that a paused player goes on or that the settings were changed. In leapfrog the turn passes to the next team;
-    a learner that can go on no longer hands over to whoever has learnt least. Where nobody can learn, the phase that
-    follows has no learners, and lasts until somebody can.
+    a learner that can go on no longer hands over to whoever has learnt least. In ladder the same team learns on; the
+    end of a phase is when the others take over its policies. Where nobody can learn, the phase that follows has no
+    learners, and lasts until somebody can.
     """
-    team_of = {player: team for team, player in able.items()}
-    learner = None
-    if schedule.kind == "leapfrog" and able:
-        left = iterations_left(phase, iterations)
-        now = team_of.get(phase.learners[0]) if left is not None and phase.learners else None
-        if left is None:  # another schedule's, or one of nobody: begin
-            learner = able[_next_team(schedule.learner, able)]
-        elif now is None:
-            order = sorted(able, key=lambda team: (iterations.get(able[team], 0), team < schedule.learner, team))
-            learner = able[order[0]]
-        elif left > 0:
-            return None
-        else:
-            learner = able[_next_team(now + 1, able)]
-    following = _phase(schedule, phase.league, phase.group, phase.number + 1, able, iterations, learner)
-    lasts = "iterations" not in following.until and "iterations" not in phase.until
+    counted = _counted(schedule, phase, able, learnt)
+    if (counted,) == phase.learners and remaining(phase, learnt):
+        return None  # its turn goes on
+    following = _phase(schedule, phase.league, phase.group, phase.number + 1, able, learnt, counted)
+    lasts = not following.until and not phase.until
     return None if lasts and following.learners == phase.learners else following
 
 
-def iterations_left(phase: Phase, iterations: Mapping[str, int]) -> int | None:
-    """How many iterations the phase's learners still have, by their own counts; None where none are counted."""
-    if "iterations" not in phase.until:
+def remaining(phase: Phase, learnt: Mapping[str, Learnt]) -> int | None:
+    """How much the phase's one learner still has to learn, by its own counts; None where nothing is counted.
+
+    In environment steps where `phase.until` names a step, else in iterations.
+    """
+    if not phase.until:
         return None
-    done = max((iterations.get(p, 0) - phase.since.get(p, 0) for p in phase.learners), default=0)
-    return max(0, phase.until["iterations"] - done)
+    (learner,) = phase.learners
+    now = learnt.get(learner, Learnt())
+    if "step" in phase.until:
+        return max(0, phase.until["step"] - now.steps)
+    return max(0, phase.since.get(learner, 0) + phase.until["iterations"] - now.iterations)
+
+
+def _counted(
+    schedule: Schedule, phase: Phase | None, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+) -> str | None:
+    """Who learns until a count is reached, in a schedule that has such phases, if anybody can."""
+    match schedule.kind:
+        case "leapfrog":
+            return _leaper(schedule, phase, able, learnt)
+        case "ladder":
+            return able.get(schedule.learner)
+        case "simultaneous" | "frozen":
+            return None
+
+
+def _leaper(
+    schedule: Schedule, phase: Phase | None, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+) -> str | None:
+    """Whose turn it is in leapfrog, if anybody can learn."""
+    if phase is None or not phase.until:  # the first one, another schedule's, or one of nobody: begin
+        return able.get(_next_team(schedule.learner, able))
+    now = next((team for team, player in able.items() if player in phase.learners), None)
+    if now is None:
+        order = sorted(able, key=lambda team: (learnt.get(able[team], Learnt()), team < schedule.learner, team))
+        return able[order[0]] if order else None
+    return able[now] if remaining(phase, learnt) else able[_next_team(now + 1, able)]
 
 
 def _phase(
-    schedule: Schedule, league: str, group: str, number: int, able: Mapping[int, str], iterations: Mapping[str, int],
-    leaper: str | None,
+    schedule: Schedule, league: str, group: str, number: int, able: Mapping[int, str], learnt: Mapping[str, Learnt],
+    counted: str | None,
 ) -> Phase:  # fmt: skip
-    """A phase that begins now; in leapfrog `leaper` learns, if anybody can."""
+    """A phase that begins now; in leapfrog and ladder `counted` learns, if anybody can."""
     match schedule.kind:
         case "simultaneous":
             learners = tuple(able[team] for team in sorted(able))
         case "frozen":
             learners = (able[schedule.learner],) if schedule.learner in able else ()
-        case "leapfrog":
-            learners = () if leaper is None else (leaper,)
-    until = {"iterations": schedule.period} if leaper is not None else {}
-    return Phase(league, group, number, learners, dict(iterations), until)
+        case "leapfrog" | "ladder":
+            learners = () if counted is None else (counted,)
+    until = {} if counted is None else _until(schedule, learnt.get(counted, Learnt()))
+    return Phase(league, group, number, learners, {name: each.iterations for name, each in learnt.items()}, until)
+
+
+def _until(schedule: Schedule, start: Learnt) -> dict[str, int]:
+    """What ends a turn that begins now: so many iterations after `start`, or the step that its player then reaches."""
+    if schedule.period_steps is None:
+        return {"iterations": schedule.period}
+    return {"step": start.steps + schedule.period_steps}
 
 
 def _next_team(start: int, able: Mapping[int, str]) -> int:

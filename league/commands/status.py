@@ -9,7 +9,7 @@ from league.commands.tables import clock
 from league.course import course
 from league.liveness import leader, processes
 from league.query import Open
-from matchmaking.schedule import iterations_left
+from matchmaking.schedule import Learnt, remaining
 from storage.records import Checkpoint, Job, Phase, Player, Worker
 from storage.store import Store
 
@@ -87,12 +87,14 @@ def _player(player: Player, at: Checkpoint | None, phase: Phase | None, runs: bo
 
 def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint]) -> str:
     """Who learns, since when, and what will end it."""
-    at = {name: checkpoint.iteration for name, checkpoint in checkpoints.items()}
-    left = iterations_left(phase, at)
+    left = remaining(phase, {name: Learnt(at.iteration, at.step) for name, at in checkpoints.items()})
     since = ", ".join(dict.fromkeys(str(phase.since.get(name, 0)) for name in phase.learners))
-    end = (
-        "nothing ends it" if left is None else f"it ends after {phase.until['iterations']} iterations, {left} are left"
-    )
+    if left is None:
+        end = "nothing ends it"
+    elif "step" in phase.until:
+        end = f"it ends at step {phase.until['step']:,}, {left:,} are left"
+    else:
+        end = f"it ends after {phase.until['iterations']} iterations, {left} are left"
     verb = "learns" if len(phase.learners) == 1 else "learn"
     return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
 

@@ -57,6 +57,11 @@ def folder(tmp_path, monkeypatch):
         (("run", "--steps", "0"), "--steps = 0: must be at least 1"),
         (("run", "--workers.train", "0"), "must be between 1 and 64"),
         (("run", "--training.worlds", "1e30"), "expected a whole number"),
+        (
+            ("run", "--training.schedule.period_steps", "0"),
+            "period_steps is 0; a turn lasts 1 environment step or more",
+        ),
+        (("run", "--arena.name", "sumo-by-team", "--training.schedule.kind", "ladder"), "ladder needs equal rosters"),
         (("run", "--store", "postgres//host/league"), "postgres//host/league"),
         (("ratings", "--fromat", "json"), "did you mean --format?"),
         (("watch", "seven"), 'match = "seven": expected a whole number'),

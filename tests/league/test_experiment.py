@@ -1,4 +1,6 @@
 import dataclasses
+import math
+from operator import attrgetter
 
 import pytest
 
@@ -12,6 +14,58 @@ from league.config.sections import PlayerSettings, named_players
 def test_a_preset_survives_its_own_file(name):
     preset = presets.preset(name)
     assert config.loads(config.dumps(preset)) == preset
+
+
+HARL_A = """
+training.worlds 5000
+training.rollout 200
+training.schedule.kind leapfrog
+training.schedule.period_steps 50000000
+training.schedule.learner 0
+training.opponents.kind latest
+training.resting_critics True
+training.shaping_steps 0
+learner.method happo
+learner.architecture.hidden (128, 128)
+learner.architecture.activation relu
+learner.architecture.layer_norm True
+learner.architecture.squash None
+learner.architecture.state_std False
+learner.critic_input own
+learner.share_actors False
+learner.lr 0.0005
+learner.critic_lr 0.0005
+learner.decay_steps 0
+learner.kl_step None
+learner.kl_stop None
+learner.epochs 5
+learner.minibatches 1
+learner.clip 0.2
+learner.entropy 0.01
+learner.max_grad_norm 10.0
+learner.gamma 0.99
+learner.lam 0.95
+learner.value_norm True
+learner.huber_delta 10.0
+learner.normalise_observations False
+learner.fixed_order True
+seed 1
+arena.rules.decide_every 1
+arena.rules.episode 30.0
+arena.rules.ring (3.0, 6.0)
+arena.rules.drive_limit None
+arena.reward.scale 10.0
+arena.reward.timeout_penalty 1.0
+budget.steps 10000000000
+"""
+
+
+def test_harl_a_has_the_papers_table_of_settings():
+    preset = presets.preset("harl_a")
+    found = [f"{line.split()[0]} {attrgetter(line.split()[0])(preset)}" for line in HARL_A.split("\n") if line]
+    assert found == HARL_A.strip().split("\n")
+    assert preset.learner.initial_std == pytest.approx(0.5 / (1 + math.exp(-1)), abs=1e-5)  # std_y 0.5, std_x 1
+    assert preset.league == "harl_a"
 
 
 def test_every_setting_is_explained():
@@ -36,6 +90,7 @@ def test_what_a_file_leaves_out_is_as_the_named_arena_has_it():
         ('[learner]\n\nlr = "fast"\n', 'league.toml:3: learner.lr = "fast"'),
         ("[arena.rules]\nradiuss = 2\n", "league.toml:2: unknown key arena.rules.radiuss"),
         ('[training.schedule]\nkind = "leapfrogg"\n', "leapfrog"),
+        ("[training.schedule]\nperiod_steps = 0\n", "period_steps is 0; a turn lasts 1 environment step or more"),
         ("[arena.rules]\ntimestep = 0.013\n", "no whole number"),
         ("[rating]\nworlds = 100\n", "must be a multiple of 2 × rating.pairings, 8"),
         ('[rating]\nmilestones = ["soon"]\n', '"soon" is not a duration'),

@@ -83,8 +83,9 @@ def test_turns_end_where_snapshots_are_due_and_never_last_longer_than_a_crash_ma
     assert ends == [1, 2, 4, 8, 16, 32, 48, 64, 80]
 
 
-def test_leapfrog_passes_on_after_the_learners_own_iterations_and_the_store_holds_the_phase():
-    config = training(turn=100, schedule=Schedule("leapfrog", period=5))
+@pytest.mark.parametrize("schedule", [Schedule("leapfrog", period=5), Schedule("leapfrog", period_steps=5 * 8192 - 1)])
+def test_leapfrog_passes_on_after_what_the_learner_learnt_itself_and_the_store_holds_the_phase(schedule):
+    config = training(turn=100, schedule=schedule)
     at, phases, seen = {"blue": 0, "red": 0}, {}, []
     while sum(at.values()) < 20:
         planned = plan.next_turns(config, standing(checkpoints=checkpoints(at), phases=phases))
@@ -96,6 +97,35 @@ def test_leapfrog_passes_on_after_the_learners_own_iterations_and_the_store_hold
         at[learner] += turn.iterations
         seen += [learner] * turn.iterations
     assert seen == ["blue"] * 5 + ["red"] * 5 + ["blue"] * 5 + ["red"] * 5
+
+
+@pytest.mark.parametrize("schedule", [Schedule("ladder", period=3), Schedule("ladder", period_steps=3 * 8192)])
+def test_in_ladder_turns_end_with_the_phase_and_the_copies_are_no_learning_of_their_own(schedule):
+    config = replace(training(turn=100, schedule=schedule), budget=configuration.Budget(steps=12 * 8192))
+    at, phases, ends = 0, {}, []
+    while at < 12:
+        copied = at - at % 3  # what the other player has taken over by then
+        state = standing(checkpoints=checkpoints({"blue": at, "red": copied}), phases=phases)
+        planned = plan.next_turns(config, state)
+        (phase,), (job,) = planned.phases, planned.jobs
+        phases, turn = {"1": phase}, decode(job)
+        assert (turn.learners, turn.phase) == (("blue",), at // 3)
+        at += turn.iterations
+        ends.append(at)
+    assert ends == [1, 2, 3, 4, 6, 8, 9, 12]
+    state = standing(checkpoints=checkpoints({"blue": 12, "red": 12}), phases=phases)
+    assert plan.spent(config, state, "1") == (0.0, 12 * 8192)
+    assert not turns(config, state)
+
+
+def test_a_phase_by_steps_bounds_its_turns_where_the_number_of_worlds_is_set():
+    at = checkpoints({"blue": 40, "red": 8})
+    phase = Phase("quickstart", "1", 4, ("blue",), {"blue": 38, "red": 8}, {"step": 43 * 8192 - 100})
+    state = standing(checkpoints=at, phases={"1": phase})
+    for worlds, iterations in ((256, 3), (128, 6), (None, 16)):  # none: each machine has its own, and its trainer looks
+        config = training(schedule=Schedule("leapfrog", period_steps=1))
+        (turn,) = turns(replace(config, training=replace(config.training, worlds=worlds)), state)
+        assert (turn.learners, turn.phase, turn.iterations) == (("blue",), 4, iterations)
 
 
 def test_one_open_turn_for_each_group_and_none_when_its_budget_is_spent():

@@ -46,6 +46,22 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
     assert "\n" not in str(caught.value)
 
 
+def test_ladder_needs_equal_rosters_and_equal_networks():
+    def ladder(arena: str, more: str = "") -> configuration.Config:
+        return configuration.loads(f'arena.name = "{arena}"\n[training.schedule]\nkind = "ladder"\n{more}')
+
+    with pytest.raises(ConfigError) as caught:
+        examine(ladder("sumo-by-team"))
+    assert str(caught.value) == (
+        'training.schedule.kind = "ladder": what blue (anymal:56:12+anymal:56:12) learns cannot be copied to red'
+        " (leatherback:14:2+leatherback:14:2): ladder needs equal rosters; use simultaneous, leapfrog or frozen"
+    )
+    players = '[[players]]\nteam = "blue"\n[[players]]\nteam = "red"\n'
+    assert examine(ladder("sumo-1v1", f"{players}hidden = [64, 64]\n")).name == "sumo-1v1"
+    with pytest.raises(ConfigError, match=r"^players\[1\]\.hidden = \[8\]: .* blue .* \[64, 64\]; give both the same$"):
+        examine(ladder("sumo-1v1", f"{players}hidden = [8]\n"))
+
+
 def test_a_critic_of_all_teams_needs_other_teams():
     def critic_of_all(arena: str) -> configuration.Config:
         return configuration.loads(f'arena.name = "{arena}"\n[learner]\ncritic_input = "all"\n')

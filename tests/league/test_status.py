@@ -57,11 +57,13 @@ def test_a_league_is_stopped_once_its_managers_process_is_gone_or_its_lease_is_o
 def test_it_tells_who_learns_since_when_and_what_ends_it(opened):
     leap = Phase("cup", "1", 3, ("red",), {"blue": 2, "red": 1}, {"iterations": 5})
     opened.store.queue([], [leap, Phase("cup", "2", 0, ("blue", "red"), {"blue": 0, "red": 0})])
+    opened.store.queue([], [Phase("cup", "3", 0, ("red",), {"red": 1}, {"step": 1000})])
     opened.store.lead("cup", ALIVE, 60)
     text = words(opened)
     # red has done 4 iterations, one of them before the phase.
     assert "group 1: red learns since iteration 1; it ends after 5 iterations, 2 are left" in text
     assert "group 2: blue and red learn since iteration 0; nothing ends it" in text
+    assert "group 3: red learns since iteration 1; it ends at step 1,000, 600 are left" in text
     now = {
         line.split()[0]: line.split()[-1] for line in report(opened).splitlines() if line.startswith((" blue", " red"))
     }

@@ -125,6 +125,56 @@ def test_in_leapfrog_one_learns_while_the_others_actors_stay_byte_for_byte(store
     assert any((states[-1]["critic.value.weight"] != states[0]["critic.value.weight"]).ravel())
 
 
+def test_leapfrog_by_steps_ends_a_turn_with_the_iteration_that_reaches_them_on_this_machines_worlds(store, arena):
+    config = settings(Schedule("leapfrog", period_steps=2 * 16 * 8 + 1))
+    unset = replace(config, training=replace(config.training, worlds=None))
+    learnt, trainer = [], None
+    for number in range(9):
+        if number in (0, 4):  # in the middle of red's first turn, as after a kill
+            trainer = Trainer(config, arena, store.players(LEAGUE), 16)
+        lease, turn = claim(store, unset)
+        learnt += [turn.learners] * sum(1 for _ in trainer.turn(store, turn, lambda: False))
+        trainer.commit(store, lease, turn)
+    assert learnt[:9] == [("blue",)] * 3 + [("red",)] * 3 + [("blue",)] * 3
+
+
+def test_in_ladder_each_phase_is_followed_by_one_copy_however_often_the_league_is_killed(store, arena, tmp_path):
+    config = settings(Schedule("ladder", period=2), resting_critics=False)
+    turns(store, config, arena, 3)  # to iteration 2, and the copy
+    lost = Trainer(config, arena, store.players(LEAGUE), 16)
+    lease, turn = claim(store, config)
+    assert sum(1 for _ in lost.turn(store, turn, lambda: False)) == 2
+    store.release(lease)  # killed before it was written: to be done again, with its copy
+    turns(store, config, arena, 1)
+    rows = {(c.player, c.iteration): c for c in store.checkpoints(LEAGUE)}
+    assert [(p, i) for p, i in rows if p == "red"] == [("red", 0), ("red", 2), ("red", 4)]
+    assert rows["red", 4].step == rows["blue", 4].step == 4 * 16 * 8
+    states = {key: arrays.from_bytes(store.blobs.get(c.digest)) for key, c in rows.items()}
+    for i in (2, 4):
+        for name, weights in states["red", i].items():
+            of = states["blue", i] if name.startswith("actor.") else states["red", 0]
+            np.testing.assert_array_equal(weights, of[name], err_msg=name)
+    frozen = {s.name: s for s in store.snapshots(LEAGUE, "red")}
+    assert list(frozen) == ["red@0", "red@2", "red@4"]
+    assert frozen["red@4"].digest == store.snapshots(LEAGUE, "blue")[3].digest
+    assert frozen["red@4"].parent == "blue@2"
+    with Store.open(tmp_path / "other", create=True) as other:
+        other.create_league(League(LEAGUE, ""))
+        other.add_players(store.players(LEAGUE))
+        turns(other, config, arena, 4)
+        assert ends(other) == ends(store)
+
+
+def test_in_ladder_a_player_that_came_further_before_takes_over_the_copy_as_its_newest(store, arena):
+    turns(store, settings(Schedule("frozen", learner=1)), arena, 4)  # red at iteration 4
+    turns(store, settings(Schedule("ladder", period=1)), arena, 1)
+    (blue, of_blue), (red, of_red) = (ends(store)[name] for name in ("blue", "red"))
+    assert (blue, red) == (1, 5)
+    states = [arrays.from_bytes(store.blobs.get(digest)) for digest in (of_blue, of_red)]
+    np.testing.assert_array_equal(*(state["actor.0.mean.weight"] for state in states))
+    assert any((states[0]["critic.value.weight"] != states[1]["critic.value.weight"]).ravel())
+
+
 def test_where_resting_critics_stand_still_a_resting_player_leaves_no_checkpoint(store, arena):
     turns(store, settings(Schedule("leapfrog", period=2), resting_critics=False), arena, 5)
     rows = Counter((c.player, c.iteration) for c in store.checkpoints(LEAGUE))

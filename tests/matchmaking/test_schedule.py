@@ -1,26 +1,32 @@
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from matchmaking.ladder import Ladder
-from matchmaking.schedule import Schedule, first_phase, iterations_left, next_due, next_phase, pairings
+from matchmaking.schedule import Learnt, Schedule, first_phase, next_due, next_phase, pairings, remaining
 
 TEAMS = {0: "blue", 1: "red", 2: "gold"}
 
 
+def learnt(blue=0, red=0, gold=0):
+    """So many iterations of 100 steps."""
+    return {name: Learnt(n, 100 * n) for name, n in (("blue", blue), ("red", red), ("gold", gold))}
+
+
 def begin(schedule, able=TEAMS, at=0):
-    return first_phase(schedule, "cup", "1", able, {name: at for name in TEAMS.values()})
+    return first_phase(schedule, "cup", "1", able, learnt(at, at, at))
 
 
 def live(schedule, rounds, able=TEAMS, phase=None, at=None):
-    """The learners of each iteration, all of them learning by their own counts."""
-    at = dict.fromkeys(TEAMS.values(), 0) if at is None else at
+    """The learners of each iteration, all of them learning by their own counts, 100 steps each time."""
+    at = learnt() if at is None else at
     phase, seen = phase or first_phase(schedule, "cup", "1", able, at), []
     for _ in range(rounds):
         phase = next_phase(schedule, phase, able, at) or phase
         seen.append("+".join(phase.learners))
-        at |= {name: at[name] + 1 for name in phase.learners}
+        at |= {name: Learnt(at[name].iterations + 1, at[name].steps + 100) for name in phase.learners}
     return seen, phase
 
 
@@ -30,28 +36,77 @@ def test_leapfrog_takes_turns_by_the_learners_own_iterations():
     assert seen == ["red", "red", "gold", "gold", "blue", "blue", "red", "red"]
     assert (phase.number, phase.until) == (3, {"iterations": 2})
     assert phase.since == {"blue": 2, "red": 2, "gold": 2}
-    assert iterations_left(phase, {"red": 3}) == 1
+    assert remaining(phase, learnt(red=3)) == 1
 
 
 def test_a_phase_counts_from_where_its_learner_stood():
     schedule = Schedule("leapfrog", period=5)
     phase = begin(schedule, at=37)
-    assert next_phase(schedule, phase, TEAMS, {"blue": 41, "red": 90, "gold": 0}) is None
-    after = next_phase(schedule, phase, TEAMS, {"blue": 42, "red": 90, "gold": 0})
+    assert next_phase(schedule, phase, TEAMS, learnt(41, 90)) is None
+    after = next_phase(schedule, phase, TEAMS, learnt(42, 90))
     assert after is not None
     assert (after.learners, after.since["red"]) == (("red",), 90)
+
+
+def test_by_steps_a_turn_ends_with_the_iteration_that_reaches_them_and_the_next_counts_from_nothing():
+    schedule = Schedule("leapfrog", period=1, period_steps=250)
+    seen, phase = live(schedule, 10)
+    assert seen == ["blue"] * 3 + ["red"] * 3 + ["gold"] * 3 + ["blue"]
+    assert (phase.number, phase.until) == (3, {"step": 550})  # of blue's own, which has had 300
+    assert remaining(phase, {"blue": Learnt(4, 400), "red": Learnt(99, 9900)}) == 150
+    assert live(replace(schedule, period_steps=300), 7)[0] == ["blue"] * 3 + ["red"] * 3 + ["gold"]
+
+
+def test_a_turn_that_has_begun_ends_as_it_was_meant_to_when_it_began():
+    by_steps, by_iterations = Schedule("leapfrog", period_steps=250), Schedule("leapfrog", period=2)
+    phase = begin(by_steps)
+    assert next_phase(by_iterations, phase, TEAMS, learnt(blue=2)) is None
+    after = next_phase(by_iterations, phase, TEAMS, learnt(blue=3))
+    assert after is not None
+    assert (after.learners, after.until) == (("red",), {"iterations": 2})
+
+
+def test_by_steps_a_player_that_went_back_learns_what_it_lost_again():
+    schedule = Schedule("leapfrog", period_steps=400)
+    phase = begin(schedule, at=10)
+    assert remaining(phase, learnt(blue=8)) == 600
+    assert next_phase(schedule, phase, TEAMS, learnt(blue=13)) is None
+
+
+@pytest.mark.parametrize("period", [{"period": 2}, {"period": 9, "period_steps": 150}])
+def test_in_ladder_one_team_learns_and_a_phase_ends_after_each_period(period):
+    schedule = Schedule("ladder", learner=1, **period)
+    seen, phase = live(schedule, 5)
+    assert seen == ["red"] * 5
+    assert (phase.number, phase.since["red"]) == (2, 4)
+    assert remaining(phase, learnt(red=5)) in (1, 50)
+    idle = next_phase(schedule, phase, {0: "blue", 2: "gold"}, learnt(red=5))
+    assert idle is not None
+    assert (idle.learners, idle.until) == ((), {})
+    assert next_phase(schedule, idle, {0: "blue", 2: "gold"}, learnt(red=5)) is None
+    again = next_phase(schedule, idle, TEAMS, learnt(red=5))
+    assert again is not None
+    assert (again.learners, again.since["red"]) == (("red",), 5)
+
+
+def test_ladder_cuts_another_teams_turn_and_lets_its_own_learner_finish():
+    leaping, ladder = begin(Schedule("leapfrog", period=4)), Schedule("ladder", period=2, learner=1)
+    cut = next_phase(ladder, leaping, TEAMS, learnt(blue=1))
+    assert cut is not None
+    assert (cut.learners, cut.until) == (("red",), {"iterations": 2})
+    assert next_phase(replace(ladder, learner=0), leaping, TEAMS, learnt(blue=1)) is None
 
 
 def test_simultaneous_and_frozen_never_change():
     for schedule, learners in ((Schedule(), "blue+red+gold"), (Schedule("frozen", learner=1), "red")):
         seen, phase = live(schedule, 99)
         assert set(seen) == {learners}
-        assert (phase.number, phase.until, iterations_left(phase, {})) == (0, {}, None)
+        assert (phase.number, phase.until, remaining(phase, {})) == (0, {}, None)
 
 
 def test_who_is_paused_never_learns_and_the_phase_passes_on():
     schedule = Schedule("leapfrog", period=2)
-    at = dict.fromkeys(TEAMS.values(), 0)
+    at = learnt()
     _, phase = live(schedule, 3, at=at)
     assert phase.learners == ("red",)  # after one of its two iterations
     able = {0: "blue", 2: "gold"}
@@ -62,19 +117,19 @@ def test_who_is_paused_never_learns_and_the_phase_passes_on():
     assert begin(schedule, able={1: "red", 2: "gold"}).learners == ("red",)
 
 
-@pytest.mark.parametrize("schedule", [Schedule(), Schedule("leapfrog"), Schedule("frozen")])
+@pytest.mark.parametrize("schedule", [Schedule(), Schedule("leapfrog"), Schedule("ladder"), Schedule("frozen")])
 def test_where_nobody_can_learn_the_phase_waits_for_somebody(schedule):
-    resting = next_phase(schedule, begin(schedule), {}, dict.fromkeys(TEAMS.values(), 1))
+    resting = next_phase(schedule, begin(schedule), {}, learnt(1, 1, 1))
     assert resting is not None
     assert resting.learners == ()
-    assert next_phase(schedule, resting, {}, dict.fromkeys(TEAMS.values(), 1)) is None
-    awake = next_phase(schedule, resting, TEAMS, dict.fromkeys(TEAMS.values(), 1))
+    assert next_phase(schedule, resting, {}, learnt(1, 1, 1)) is None
+    awake = next_phase(schedule, resting, TEAMS, learnt(1, 1, 1))
     assert awake is not None
     assert (awake.number, awake.learners) == (2, begin(schedule).learners)
 
 
 def test_other_settings_begin_another_phase():
-    leaping, at = begin(Schedule("leapfrog")), dict.fromkeys(TEAMS.values(), 3)
+    leaping, at = begin(Schedule("leapfrog")), learnt(3, 3, 3)
     together = next_phase(Schedule(), leaping, TEAMS, at)
     assert together is not None
     assert (together.number, together.learners, together.until) == (1, ("blue", "red", "gold"), {})
@@ -86,12 +141,18 @@ def test_other_settings_begin_another_phase():
 def test_a_player_that_went_back_learns_what_it_lost_again():
     schedule = Schedule("leapfrog", period=4)
     phase = begin(schedule, at=10)
-    assert iterations_left(phase, {"blue": 8}) == 6
-    assert next_phase(schedule, phase, TEAMS, {"blue": 8, "red": 10, "gold": 10}) is None
+    assert remaining(phase, learnt(blue=8)) == 6
+    assert next_phase(schedule, phase, TEAMS, learnt(8, 10, 10)) is None
 
 
 @pytest.mark.parametrize(
-    ("fields", "says"), [({"kind": "ladder"}, "leapfrog, frozen"), ({"period": 0}, "period"), ({"learner": -1}, "team")]
+    ("fields", "says"),
+    [
+        ({"kind": "stairs"}, "leapfrog, ladder, frozen"),
+        ({"period": 0}, "period"),
+        ({"period_steps": 0}, "period_steps is 0"),
+        ({"learner": -1}, "team"),
+    ],
 )
 def test_schedules_that_cannot_be_meant_are_refused(fields, says):
     with pytest.raises(ValueError, match=says):
