@@ -160,12 +160,17 @@ def _who_is_better(standing: Standing) -> list[str]:
     """How sure it is that the best player's newest snapshot is stronger than the next one's, of those of one roster."""
     known = [s for s in newest_snapshots(standing) if standing.ladder.known(s.name)]
     lines = []
+    ratings = standing.ladder.ratings
     for roster in dict.fromkeys(s.roster for s in known):
-        ratings, alike = standing.ladder.ratings, [s.name for s in known if s.roster == roster]
-        if len(alike) > 1:
-            first, second, *_ = sorted(alike, key=lambda name: -ratings.elo[ratings.index(name)])
-            sure = ratings.likelihood_of_superiority(first, second)
-            lines.append(f"{first} is stronger than {second} with probability {100 * sure:.0f} %.")
+        alike = sorted((s for s in known if s.roster == roster), key=lambda s: -ratings.elo[ratings.index(s.name)])
+        if len(alike) < 2:
+            continue
+        first, second = alike[:2]
+        if first.digest == second.digest:  # a copy, as ladder makes them: their ratings differ by chance alone
+            lines.append(f"{first.name} and {second.name} are the same policy.")
+        else:
+            sure = ratings.likelihood_of_superiority(first.name, second.name)
+            lines.append(f"{first.name} is stronger than {second.name} with probability {100 * sure:.0f} %.")
     return lines
 
 

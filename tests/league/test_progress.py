@@ -141,6 +141,14 @@ def test_a_summary_fits_once_and_says_who_is_better(monkeypatch):
     assert text.endswith(progress.NEXT)
 
 
+def test_a_copy_is_said_to_be_the_same_policy():
+    state = standing(*PLAYED)
+    copies = [replace(s, digest="one") if s.name in ("blue@64", "red@64") else s for s in state.snapshots]
+    text = summary(presets.quickstart(), replace(state, snapshots=copies))
+    assert "blue@64 and red@64 are the same policy." in text
+    assert "stronger" not in text
+
+
 def test_who_is_stronger_is_asked_of_one_side_alone():
     log = [match("blue@64", "ants@0", 60, 40), match("blue-2@64", "ants@0", 40, 60)]
     rovers = [player("blue", 0), player("blue-2", 0, group="2")]
