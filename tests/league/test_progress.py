@@ -142,7 +142,8 @@ def test_a_summary_fits_once_and_says_who_is_better(monkeypatch):
 
 
 def test_a_copy_is_said_to_be_the_same_policy():
-    state = standing(*PLAYED)
+    log = [match("blue@64", "red@64", 60, 40), match("blue@0", "red@0", 9, 9)]
+    state = standing(*PLAYED, *log)
     copies = [replace(s, digest="one") if s.name in ("blue@64", "red@64") else s for s in state.snapshots]
     text = summary(presets.quickstart(), replace(state, snapshots=copies))
     assert "blue@64 and red@64 are the same policy." in text
