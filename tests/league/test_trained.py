@@ -1,0 +1,34 @@
+"""The policies that come with the league do what their cards say, on the engine of a CPU too."""
+
+from dataclasses import replace
+
+import pytest
+
+from league import exchange
+from league.config import experiment as configuration
+from league.evaluate import Referee
+from league.jobs import RatingMatch
+from league.prepare import create
+from storage.store import Store
+
+MET = {"anymal-walk": (None, 0.9), "anymal-push": ("idle", 0.75)}  # against whom, and at least which score
+
+
+def test_each_is_tried():
+    assert MET.keys() == set(exchange.trained())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MET)
+def test_it_plays_as_it_learnt(name, tmp_path):
+    opponent, asked = MET[name]
+    about = exchange.read(exchange.find(name)).about
+    config = configuration.default(about["arena"]["arena"])
+    config = replace(config, rating=replace(config.rating, worlds=128, pairings=1, record=False))
+    arena = config.arena.build(engine="c", worlds=128)
+    with Store.open(tmp_path, create=True) as store:
+        create(store, config, arena)
+        (match,) = Referee(config, arena, config.league).play(store, RatingMatch(((name, opponent),), 1, record=False))
+    episodes = match.wins + match.draws + match.losses
+    assert episodes == 128
+    assert (match.wins + match.draws / 2) / episodes > asked
