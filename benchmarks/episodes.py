@@ -41,6 +41,11 @@ def bare(toml: str) -> str:
 
 
 def score(ladder: Ladder, snapshot: Snapshot, other: Snapshot | None) -> dict:
-    """Score with its 95 % interval; how often it succeeds in an arena of one team."""
+    """Score with its 95 % interval, and how many games were drawn; how often it succeeds in an arena of one team."""
     found: Score = ladder.success(snapshot.name) if other is None else ladder.score(snapshot.name, other.name)
-    return {"score": round(found.score, 4), "low": round(found.low, 4), "high": round(found.high, 4), "n": found.games}
+    told = {"score": round(found.score, 4), "low": round(found.low, 4), "high": round(found.high, 4), "n": found.games}
+    if other is None:
+        return told
+    payoff = ladder.payoff
+    a, b = payoff.index(snapshot.name), payoff.index(other.name)
+    return told | {"draws": int(payoff.draws[a, b])}

@@ -1,12 +1,13 @@
-"""The first stages of HARL-A's curricula on one GPU: how soon robots alone learn their task, over seeds.
+"""HARL-A's curricula on one GPU, from the first stage to the matches: how soon robots learn them, over seeds.
 
     python benchmarks/stages.py walk --seeds 1 2 3 --store runs/stages --out benchmarks/results/walk-h100.json
     python benchmarks/stages.py push-anymal --seeds 1 2 3 --store runs/stages --out benchmarks/results/push-h100.json
+    python benchmarks/stages.py by-team-leapfrog --store runs/stages --out benchmarks/results/by-team-leapfrog-h100.json
 
-Trains by `league run` with nothing else on the GPU, each seed in a store of its own; a stage that goes on from another
-finds that one's league in the same store. Then every snapshot plays `--episodes` fresh episodes: alone, or against
-`idle` where the arena has two teams. A snapshot has succeeded where the lower end of its 95 % interval is above what
-the stage asks. The same command goes on where it was stopped.
+Trains by `league run` with nothing else on the GPU, each seed in a store of its own; a stage that goes on from others
+finds their leagues in the same store. Then every snapshot plays `--episodes` fresh episodes: alone, against `idle`, or
+in a match against the other side's initial snapshot, the one that leaves the curriculum. A snapshot has succeeded where
+the lower end of its 95 % interval is above what the stage asks. The same command goes on where it was stopped.
 """
 
 import argparse
@@ -14,8 +15,10 @@ import json
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 # Not this folder, whose arenas.py would hide the package of that name.
 sys.path[0] = str(Path(__file__).resolve().parents[1])
@@ -24,20 +27,29 @@ from league.environment import prepare  # noqa: E402
 
 prepare()  # before jax reads the environment
 
-from benchmarks.episodes import bare, rate, score  # noqa: E402
+from benchmarks.episodes import Pair, bare, rate, score  # noqa: E402
 from benchmarks.record import commit, machine  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
 from league.standing import Standing  # noqa: E402
 from league.versions import versions  # noqa: E402
+from storage.records import Player, Snapshot  # noqa: E402
 from storage.store import Store  # noqa: E402
 
-LEARNER = [
-    "--learner.architecture.hidden", "128,128,128", "--learner.architecture.activation", "elu", "--learner.lr", "1e-3",
-    "--learner.critic-lr", "1e-3", "--learner.gamma", "0.99", "--learner.initial-std", "0.6",
-    "--learner.normalise-observations", "--training.rollout", "24", "--training.snapshots-per-doubling", "4",
-    "--training.turn", "32", "--workers.match", "0",
-]  # fmt: skip
+LEARNER = {
+    "learner.architecture.hidden": "128,128,128", "learner.architecture.activation": "elu", "learner.lr": "1e-3",
+    "learner.critic-lr": "1e-3", "learner.gamma": "0.99", "learner.initial-std": "0.6",
+    "learner.normalise-observations": "true", "training.rollout": "24", "training.snapshots-per-doubling": "4",
+    "training.turn": "32", "workers.match": "0",
+}  # fmt: skip
 """As in the presets of these curricula."""
+
+PUSH = {"training.shaping-steps": "50000000"}
+MATCH = {
+    "learner.lr": "3e-4", "learner.gamma": "0.995", "training.rollout": "48", "training.shaping-steps": "0",
+    "training.snapshots-per-doubling": "2",
+}  # fmt: skip
+"""The outcome alone as reward, and fresh critics: smaller steps, and a longer view."""
+TURNS = {"training.schedule.kind": "leapfrog", "training.schedule.period-steps": "10000000"}
 
 
 @dataclass(frozen=True)
@@ -47,14 +59,18 @@ class Stage:
     arena: str
     train: str
     asked: float
-    after: str = ""
-    settings: tuple[str, ...] = ()
+    after: tuple[str, ...] = ()
+    settings: Mapping[str, str] = field(default_factory=dict)
+    against: Literal["", "idle", "initial"] = ""
 
 
+BLOCKS = ("push-anymal", "push-leatherback")
 STAGES = {
     "walk": Stage("anymal-walk", "10m", 0.9),
-    "push-anymal": Stage("block-push-anymal", "15m", 0.8, "walk", ("--training.shaping-steps", "50000000")),
-    "push-leatherback": Stage("block-push-leatherback", "15m", 0.8, "", ("--training.shaping-steps", "50000000")),
+    "push-anymal": Stage("block-push-anymal", "15m", 0.8, ("walk",), PUSH, "idle"),
+    "push-leatherback": Stage("block-push-leatherback", "15m", 0.8, (), PUSH, "idle"),
+    "by-team-simultaneous": Stage("sumo-by-team", "30m", 0.86, BLOCKS, MATCH, "initial"),
+    "by-team-leapfrog": Stage("sumo-by-team", "30m", 0.86, BLOCKS, MATCH | TURNS, "initial"),
 }
 
 
@@ -67,7 +83,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--train", help="train for so long (default: as the stage says)")
     parser.add_argument("--worlds", type=int, default=4096)
-    parser.add_argument("--episodes", type=int, default=512, help="for each snapshot")
+    parser.add_argument("--episodes", type=int, default=512, help="for each snapshot; 0: train only")
     parser.add_argument("--batch", type=int, default=8192, help="of them at once")
     parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
     parser.add_argument("flags", nargs="*", help="further flags of `league run`, after --")
@@ -79,6 +95,8 @@ def main() -> None:
     for seed in args.seeds:
         store = args.store / f"seed{seed}"
         train(args, store, seed)
+        if not args.episodes:
+            continue
         result["seeds"].append({"seed": seed, **measure(args, store)})
         args.out.write_text(json.dumps(result, indent=1) + "\n")
         print(json.dumps({k: v for k, v in result["seeds"][-1].items() if k not in ("curve", "runs")}), flush=True)
@@ -87,13 +105,13 @@ def main() -> None:
 def train(args: argparse.Namespace, store: Path, seed: int) -> None:
     """Train until the stage's time is over, in processes of its own."""
     stage = STAGES[args.stage]
-    after = ["--after", stage.after] if stage.after else []
-    command = [
-        sys.executable, "-m", "league", "run", "--store", str(store), "--league", args.stage,
-        "--arena.name", stage.arena,
-        *LEARNER, *stage.settings, *after, "--training.worlds", str(args.worlds), "--seed", str(seed),
-        "--budget.train", args.train or stage.train, "--budget.rate", "0s", *args.flags,
-    ]  # fmt: skip
+    settings = {
+        "store": str(store), "league": args.stage, "arena.name": stage.arena, **LEARNER, **stage.settings,
+        "training.worlds": str(args.worlds), "seed": str(seed), "budget.train": args.train or stage.train,
+        "budget.rate": "0s", **({"after": ",".join(stage.after)} if stage.after else {}),
+    }  # fmt: skip
+    flags = [f"--{name}={value}" for name, value in settings.items()]
+    command = [sys.executable, "-m", "league", "run", *flags, *args.flags]
     subprocess.run(command, check=True)
 
 
@@ -105,19 +123,20 @@ def measure(args: argparse.Namespace, where: Path) -> dict:
         standing = Standing.of(store, args.stage)
         last = standing.newest
         assert last is not None
-        idle = None if standing.one_team else next(s for s in standing.snapshots if s.script == "idle")
-        own = [s for player in standing.players for s in standing.history(player.name)]
+        pairs = opponents(standing, STAGES[args.stage].against)
         began = time.monotonic()
-        ladder, voids, _ = rate(store, config, args.stage, [(s, idle) for s in own], args.episodes, args.batch)
+        ladder, voids, _ = rate(store, config, args.stage, pairs, args.episodes, args.batch)
         curve = [
-            {"snapshot": s.name, "seconds": round(s.seconds, 1), "steps": s.step, **score(ladder, s, idle)} for s in own
+            {"snapshot": s.name, "seconds": round(s.seconds, 1), "steps": s.step, **score(ladder, s, other)}
+            for s, other in pairs
         ]
+        own = [s for s, _ in pairs]
         return {
             "training_seconds": round(last.seconds, 1),
             "iterations": last.iteration,
             "steps": last.step,
             "steps_per_second_learning_included": round(last.step / last.seconds),
-            "against": "idle" if idle else None,
+            "against": STAGES[args.stage].against or None,
             "reached": {
                 player.name: next((p for p in curve if p["low"] > asked and p["snapshot"] in names), None)
                 for player in standing.players
@@ -129,6 +148,18 @@ def measure(args: argparse.Namespace, where: Path) -> dict:
             "runs": [bare(run.config) for run in store.runs(args.stage)],
             "curve": curve,
         }
+
+
+def opponents(standing: Standing, against: str) -> list[Pair]:
+    """Every snapshot of every player, with whom it is tried against; nobody in an arena of one team."""
+
+    def other(player: Player) -> Snapshot | None:
+        if against == "initial":
+            (them,) = (p for p in standing.players if p.team != player.team)
+            return standing.history(them.name)[0]
+        return next((s for s in standing.snapshots if s.script == against), None)
+
+    return [(s, other(player)) for player in standing.players for s in standing.history(player.name)]
 
 
 if __name__ == "__main__":
