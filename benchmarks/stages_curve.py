@@ -14,6 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 COLOURS = {"blue": "#2a6be6", "red": "#e03833"}
+AGAINST = {"initial": "the other side's first"}
 
 
 def main() -> None:
@@ -41,10 +42,11 @@ def panel(axis: plt.Axes, result: dict, title: str) -> None:
     axis.axhline(result["asked"], color="grey", lw=0.8, ls="--")
     axis.set(
         xscale="log", ylim=(0, 1.02), xlabel="seconds of training",
-        ylabel=f"score against {against}" if against else "share that succeeds",
+        ylabel=f"score against {AGAINST.get(against, against)}" if against else "share that succeeds",
         title=f"{title}: {seeds} seed{'s' * (seeds > 1)}",
     )  # fmt: skip
-    axis.set_xticks([2, 5, 10, 30, 60, 120, 300], ["2", "5", "10", "30", "60", "120", "300"])
+    ticks = [2, 5, 10, 30, 60, 120, 240, 480]
+    axis.set_xticks(ticks, list(map(str, ticks)))
     axis.minorticks_off()
     axis.spines[["top", "right"]].set_visible(False)
 
