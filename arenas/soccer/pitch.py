@@ -64,9 +64,13 @@ def robot(kind: str, rules: PitchRules) -> Robot:
 
 
 def solver(kinds: Sequence[str]) -> Solver:
-    """Contacts of all robots, the ball and the walls. The cone is elliptic: see `docs/arenas/soccer.md`."""
+    """Contacts of all robots, the ball and the walls. The cone is elliptic: see `docs/arenas/soccer.md`.
+
+    Chasers used at most 14 contacts and 45 rows in a game of two, 21 and 67 in one of four. A contact has three rows,
+    one of the ball's six.
+    """
     contacts = 6 + sum(KINDS[kind].contacts for kind in kinds)
-    return Solver(ls_iterations=50, cone="elliptic", contacts=contacts, rows=4 * contacts)
+    return Solver(ls_iterations=50, cone="elliptic", contacts=contacts, rows=12 + 3 * contacts)
 
 
 class Pitch:

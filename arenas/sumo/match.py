@@ -36,7 +36,7 @@ from arenas.starts import bases
 from arenas.state import Verdict
 from arenas.sumo import ring, scripts
 from arenas.sumo.rich import Rich
-from arenas.sumo.settings import CONTROL, KINDS, SumoRules, SumoSettings
+from arenas.sumo.settings import CONTROL, KINDS, SPARE_CONTACTS, SPARE_ROWS, SumoRules, SumoSettings
 from arenas.sumo.slots import Slots
 
 STRANGER = KINDS["anymal"]  # whose buffers a robot gets that came with rosters of its own
@@ -64,7 +64,10 @@ class Sumo(Arena):
         super().__init__(
             settings.name, rosters, settings.timing, asdict(rules) | {"randomisation": asdict(settings.randomisation)},
             # Iterations are the default's, which were found here: see `Solver`.
-            solver=Solver(contacts=sum(kind.contacts for kind in room), rows=sum(kind.rows for kind in room)),
+            solver=Solver(
+                contacts=SPARE_CONTACTS + sum(kind.contacts for kind in room),
+                rows=SPARE_ROWS + sum(kind.rows for kind in room),
+            ),
             marker_kinds={"ring": "circle"}, **where,
         )  # fmt: skip
         self.rules, self.weights, self.randomisation = rules, settings.reward, settings.randomisation
