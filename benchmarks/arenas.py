@@ -13,6 +13,7 @@ For every arena, engine and number of worlds, each in a process of its own:
 - contacts, constraint rows and solver iterations of every substep of that play: mean, 99.99th percentile, most.
 - `caps`: how far an iteration cap leads away from a converged solve over one control step.
 - memory, voids, and how often episodes ended.
+- with `--kernels`, on a GPU: which of its kernels the bare engine spent its time in, over one stretch.
 
 Who plays: each team's script (`--scripts`, the first that it knows) and beside it an untrained network, so that both
 are paid for; with `--league` the newest snapshots of a league, in its own arena.
@@ -48,6 +49,7 @@ from agents.rollout import make_reset, make_rollout, scripts_of  # noqa: E402
 from agents.settings import Architecture, HappoConfig  # noqa: E402
 from arenas.arena import Arena  # noqa: E402
 from arenas.errors import ArenaError  # noqa: E402
+from benchmarks.kernels import profiled  # noqa: E402
 from benchmarks.record import commit, machine, spread, tail  # noqa: E402
 from benchmarks.replay import Accelerated, Pair, cap_errors, counts  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
@@ -100,6 +102,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--league", type=Path, help="a league's store: its newest snapshots play, in its arena")
     parser.add_argument("--league-name", help="which league of the store, if it has several")
     parser.add_argument("--no-caps", action="store_true", help="leave the solver's caps out")
+    parser.add_argument("--kernels", type=int, default=0, help="tell so many of a GPU's kernels, the longest")
     parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
     parser.add_argument("--out", type=Path)
     return parser.parse_args()
@@ -160,6 +163,9 @@ def measure(args: argparse.Namespace, name: str, engine: str, worlds: int) -> di
         "solver": {k: getattr(arena.scene.model.opt, k) for k in ("iterations", "ls_iterations")},
         "decisions": args.repeats * args.decisions * worlds, "ends": ends, "memory": memory(),
     }  # fmt: skip
+    if args.kernels and jax.default_backend() != "cpu":
+        seen_there = profiled(partial(pair.alone.seconds, play))
+        found["kernels"] = seen_there | {"by_name": dict(list(seen_there["by_name"].items())[: args.kernels])}
     if not args.no_caps:
         errors = cap_errors(arena, play, CAPS)
         found["caps"] = [

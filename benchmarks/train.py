@@ -46,6 +46,7 @@ import torch  # noqa: E402
 
 from agents.happo import Learner  # noqa: E402
 from benchmarks import happo_jax  # noqa: E402
+from benchmarks.kernels import profiled  # noqa: E402
 from benchmarks.loop import Ground, Loop, ratio, speeds, timed, turns  # noqa: E402
 from benchmarks.record import commit, machine, spread  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
@@ -146,24 +147,6 @@ def settled(learner: Learner, state: Mapping[str, np.ndarray]) -> None:
     learner.load(state)
     if learner.device.type == "cuda":
         torch.cuda.synchronize()
-
-
-def profiled(verb: Callable[[], object]) -> dict:
-    """Seconds of kernels, copies and fills on the GPU, how many kernels ran, and how often the host launched any."""
-    activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
-    with torch.profiler.profile(activities=activities) as profile:
-        verb()
-        torch.cuda.synchronize()
-    with tempfile.TemporaryDirectory() as folder:
-        profile.export_chrome_trace(trace := str(Path(folder, "trace.json")))
-        events = json.loads(Path(trace).read_text())["traceEvents"]
-    kinds = {kind: [e for e in events if e.get("cat") == kind] for kind in ("kernel", "gpu_memcpy", "gpu_memset")}
-    calls = [e["name"] for e in events if e.get("cat") in ("cuda_runtime", "cuda_driver")]
-    return {
-        "seconds": sum(e["dur"] for each in kinds.values() for e in each) * 1e-6,
-        "kernels": len(kinds["kernel"]),
-        "launches": sum("LaunchKernel" in name or "GraphLaunch" in name for name in calls),
-    }
 
 
 def plain_jax(ground: Ground) -> dict:
