@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from league import devices, environment
@@ -189,7 +189,8 @@ class Worker:
     def _match(self, lease: Lease, task: RatingMatch) -> None:
         referee = self._referee()
         self.status = {"doing": "rating", "pairs": len(task.pairs)}
-        matches = referee.play(self.store, task)
+        found = referee.play(self.store, task)
+        matches = [replace(match, seconds=referee.seconds / len(found), due=task.due) for match in found]
         self._patiently(lambda: self.store.finish(lease, matches=matches))
 
     def _referee(self) -> "Referee":
