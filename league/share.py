@@ -32,5 +32,6 @@ def booking(share: float, trained: float, last: Batches | None) -> float | None:
 def words(share: float, trained: float, rated: float) -> str:
     """The share that was asked for beside the true one of `rated` device seconds, e.g. for `league status`."""
     asked = "as much as they get" if share == 1.0 else f"{100 * share:.3g} %"
-    true = f"{100 * rated / trained:.2g} %" if trained else "nothing yet"
-    return f"{true} of the time of the devices that train (rating.share: {asked})"
+    if not trained:
+        return f"nobody has learnt yet (rating.share: {asked})"
+    return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked})"
