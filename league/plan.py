@@ -234,17 +234,17 @@ def _told(seconds: float) -> float | None:
 def next_matches(config: Config, standing: Standing) -> Plan:
     """The next rating jobs, one for each process that plays them; none while one is open or all is rated enough.
 
-    While players learn, new snapshots meet those by whom the score against initial is told, then the pool; no batch is
-    queued before the last one has been paid for (league/share.py). When nobody learns any more, each newest snapshot
-    first meets all by which progress is told, for `final_quota` episodes each.
-    Pairs of a batch that was set aside are played one by one, and what was set aside alone is not played again.
+    While players learn, new snapshots meet those by whom the score against initial is told, then the pool. No batch is
+    queued before the last one has been paid for (league/share.py), nor while nobody has learnt anything yet. When
+    nobody learns any more, each newest snapshot first meets all by which progress is told, for `final_quota` episodes
+    each. Pairs of a batch that was set aside are played one by one, and what was set aside alone is not played again.
     """
     if is_rating(standing) or not any(s.player for s in standing.snapshots):
         return Plan()
     rating, due = config.rating, None
     if somebody_trains(config, standing):
         due = booking(rating.share, standing.trained(config.training.schedule), standing.batches)
-        if due is None:
+        if due is None or all(s.initial for s in standing.snapshots if s.player):
             return Plan()
     alone, never = _set_aside(standing)
     if alone:

@@ -380,6 +380,12 @@ def test_what_matches_took_in_all_is_their_share_whatever_a_batch_takes(took, sh
     assert share * counted - took - 4.0 <= rated <= share * counted + took
 
 
+def test_before_anybody_has_learnt_there_is_no_progress_to_be_told():
+    state = under_way(0.0, checkpoints=checkpoints(0), snapshots=snapshots(0))
+    assert dues(sharing(), state) == []
+    assert dues(sharing(), replace(state, snapshots=snapshots(0, 1), ladder=under_way(0.0).ladder)) == [0.0]
+
+
 def test_each_match_worker_pays():
     config = sharing()
     config = replace(config, workers=replace(config.workers, match=3))
