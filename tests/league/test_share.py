@@ -15,7 +15,7 @@ SHARE = 0.0015  # a batch of this game without bodies takes half a millisecond
 RUN = (
     "run", "--arena.name", "rock-paper-scissors", "--league", "small", "--training.worlds", "32",
     "--training.rollout", "16", "--rating.worlds", "16", "--rating.pairings", "2", "--rating.quota", "100000",
-    "--rating.final-quota", "8", "--rating.share", str(SHARE), "--steps", "60000", "--budget.rate", "3s",
+    "--rating.final-quota", "8", "--rating.share", str(SHARE), "--steps", "40000", "--budget.rate", "3s",
     "--workers.nice", "0",
 )  # fmt: skip
 
