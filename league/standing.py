@@ -14,7 +14,7 @@ from storage.store import Store
 class Batches(NamedTuple):
     """The rating batches that were queued last, together, while players learnt."""
 
-    due: float  # the second of training to which they are booked, see plan.py
+    due: float  # the second of training to which they are booked, see share.py
     seconds: float  # device time that they took
 
 
