@@ -8,7 +8,7 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.course import course
 from league.measures import learnt_enough
-from league.plan import groups, spent
+from league.plan import spent
 from league.standing import Standing
 from storage.store import Store
 
@@ -22,7 +22,7 @@ def reached(store: Store, config: Config) -> int:
 def ended(config: Config, standing: Standing) -> str | None:
     """What has ended a stage, in words; None where nothing has, though it may stand still."""
     found = []
-    for group, players in groups(standing).items():
+    for group, players in standing.groups.items():
         seconds, steps = spent(config, standing, group)
         if learnt_enough(config, standing, players):
             found.append("what it was to learn was reached")

@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import time
 from functools import cache
 
 
@@ -23,6 +24,15 @@ def take(number: int) -> None:
     found = gpus()
     if found:
         os.environ["CUDA_VISIBLE_DEVICES"] = found[number % len(found)]
+
+
+def used(backend: str) -> float:
+    """Seconds of a device that this process has used by now, from a beginning of its own: for differences.
+
+    A CPU is one device, all its cores: a process that stands back behind another takes little of it, however long that
+    takes. What a GPU did in the meantime is not told; there every second counts in which the process waited for it.
+    """
+    return time.process_time() / (os.cpu_count() or 1) if backend == "cpu" else time.monotonic()
 
 
 def torch_has_cuda() -> bool:

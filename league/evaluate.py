@@ -7,9 +7,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from agents.policy import Crew
 from agents.rollout import Games, make_play, scripts_of
 from arenas.arena import Arena
+from league.compiled import Compiled
 from league.config.experiment import Config
+from league.devices import used
 from league.jobs import RatingMatch
 from league.policies import Policy, seat, thaw
 from league.replays import episode
@@ -30,7 +33,8 @@ class Referee:
         self.each = config.rating.worlds // (2 * self.pairings)  # episodes per group
         visible = config.rating.record and bool(arena.scene.agents)  # a game without bodies has nothing to show
         self.recorded = tuple(range(0, config.rating.worlds, 2 * self.each)) if visible else ()
-        self._play = make_play(arena, self.recorded)
+        self.seconds = 0.0  # of the device, for the batch played last
+        self._play = Compiled(make_play(arena, self.recorded), arena)
         self._policies: OrderedDict[str, list[Policy]] = OrderedDict()  # by digest, those used last at the end
         # What keeps its place in the compiled match though it sits nowhere now: network shapes met, and scripts.
         scripted = config.rating.scripts != ()
@@ -52,7 +56,7 @@ class Referee:
         teams = [[self._thawed(store, seating[t]) for seating in seats] for t in range(len(self.arena.teams))]
         crews = seat(self.arena.teams, teams, self._shapes)
         self._remember(teams)
-        games = jax.device_get(self._play(crews, self._keys(seats, task.seed)))
+        games = self._played(crews, self._keys(seats, task.seed))
         matches = []
         for i, (a, b) in enumerate(met):
             kept = None
@@ -61,6 +65,14 @@ class Referee:
                 kept = store.blobs.put(to_bytes(recording))
             matches.append(self._count(games, i, a, b, seats, task, kept))
         return matches
+
+    def _played(self, crews: dict[str, Crew], keys: jax.Array) -> Games:
+        """The games, on the host; notes how much of the device they took."""
+        play = self._play.ready(crews, keys)
+        began = used(jax.default_backend())
+        games = jax.device_get(play(crews, keys))
+        self.seconds = used(jax.default_backend()) - began
+        return games
 
     def _seatings(self, a: Snapshot, b: Snapshot | None) -> tuple[Seating, Seating]:
         """Who sits where in the pair's two groups: sides swapped if both rosters allow it, else twice the same."""

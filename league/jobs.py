@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar
 
 from storage.errors import StorageError
@@ -40,6 +40,7 @@ class RatingMatch:
     seed: int
     purpose: str = "rating"
     record: bool = True
+    due: float | None = None  # while players learn, the second of their training to which it is booked: see share.py
 
 
 Task = TrainingTurn | RatingMatch
@@ -56,8 +57,9 @@ def decode(job: Job) -> Task:
     """The task in a job. Raises StorageError for a kind or a payload of another program or version."""
     try:
         task = KINDS[job.kind]
-        if set(job.payload) != {field.name for field in fields(task)}:
-            raise KeyError(job.kind)
+        known = {field.name: field.default is MISSING for field in fields(task)}
+        if job.payload.keys() - known or {name for name, needed in known.items() if needed} - job.payload.keys():
+            raise KeyError(job.kind)  # what has a default may be missing: an older version queued it
         return task(**{name: _frozen(value) for name, value in job.payload.items()})
     except KeyError:
         raise StorageError(f"job {job.key} is of no kind that this version knows ({', '.join(KINDS)})") from None

@@ -14,6 +14,7 @@ import numpy as np
 from league.config.experiment import Config
 from league.jobs import RatingMatch, TrainingTurn, decode, encode
 from league.measures import can_meet, initial_opponents, learnt_enough, newest_snapshots, yardsticks
+from league.share import booking
 from league.standing import Standing
 from matchmaking.opponents import draw
 from matchmaking.schedule import Learnt, first_phase, next_due, next_phase, pairings, remaining
@@ -34,28 +35,14 @@ class Plan:
 # Training ------------------------------------------------------------------------------------------------------------
 
 
-def groups(standing: Standing) -> dict[str, list[Player]]:
-    """The players that learn together, by the name of their group."""
-    found: dict[str, list[Player]] = {}
-    for player in standing.players:
-        found.setdefault(player.group, []).append(player)
-    return found
-
-
 def spent(config: Config, standing: Standing, group: str) -> tuple[float, int]:
-    """Seconds and environment steps that a group has been trained for.
-
-    A player's own count only grows while it learns: where they take turns the group's is the sum, else that of the one
-    that has come furthest.
-    """
-    own = [standing.checkpoints[p.name] for p in groups(standing)[group] if p.name in standing.checkpoints]
-    total = sum if config.training.schedule.adds_up else max
-    return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
+    """Seconds and environment steps that a group has been trained for under this schedule."""
+    return standing.spent(group, config.training.schedule)
 
 
 def stands_still(config: Config, standing: Standing, group: str) -> bool:
     """Whether a group has nothing to train: its budget is spent, nobody may learn, or its turn was set aside."""
-    players = groups(standing)[group]
+    players = standing.groups[group]
     if any(p.name not in standing.checkpoints for p in players):
         return any(turn.group == group and not turn.iterations for turn in _turns(standing, "failed"))
     if config.budget.spent(*spent(config, standing, group)) or learnt_enough(config, standing, players):
@@ -70,7 +57,7 @@ def stands_still(config: Config, standing: Standing, group: str) -> bool:
 
 def trained_enough(config: Config, standing: Standing) -> bool:
     """Whether nobody will learn any more under these settings."""
-    return all(stands_still(config, standing, group) for group in groups(standing))
+    return all(stands_still(config, standing, group) for group in standing.groups)
 
 
 def is_training(standing: Standing) -> bool:
@@ -78,11 +65,16 @@ def is_training(standing: Standing) -> bool:
     return any(True for _ in _turns(standing, "queued", "leased"))
 
 
+def somebody_trains(config: Config, standing: Standing) -> bool:
+    """Whether a turn is open, or another one follows."""
+    return is_training(standing) or not trained_enough(config, standing)
+
+
 def next_turns(config: Config, standing: Standing) -> Plan:
     """A turn for every group that has none open and is not done; the first one only makes the players."""
     jobs, phases = [], []
     busy = {turn.group for turn in _turns(standing, "queued", "leased")}
-    for group, players in groups(standing).items():
+    for group, players in standing.groups.items():
         if group in busy or stands_still(config, standing, group):
             continue
         if any(p.name not in standing.checkpoints for p in players):
@@ -183,7 +175,7 @@ def _scores(config: Config, standing: Standing, learner: Player, pool: Sequence[
 
 def _phase(config: Config, standing: Standing, group: str) -> Phase:
     """The phase that the group is in, or goes over to now."""
-    players = groups(standing)[group]
+    players = standing.groups[group]
     schedule = config.training.schedule
     able = {p.team: p.name for p in players if p.paused is None}
     phase, learnt = standing.phases.get(group), _learnt(standing, players)
@@ -242,20 +234,25 @@ def _told(seconds: float) -> float | None:
 def next_matches(config: Config, standing: Standing) -> Plan:
     """The next rating jobs, one for each process that plays them; none while one is open or all is rated enough.
 
-    While players learn, new snapshots meet those by whom the score against initial is told, then the pool. When nobody
-    learns any more, each newest snapshot first meets all by which progress is told, for `final_quota` episodes each.
-    Pairs of a batch that was set aside are played one by one, and what was set aside alone is not played again.
+    While players learn, new snapshots meet those by whom the score against initial is told, then the pool. No batch is
+    queued before the last one has been paid for (league/share.py), nor while nobody has learnt anything yet. When
+    nobody learns any more, each newest snapshot first meets all by which progress is told, for `final_quota` episodes
+    each. Pairs of a batch that was set aside are played one by one, and what was set aside alone is not played again.
     """
     if is_rating(standing) or not any(s.player for s in standing.snapshots):
         return Plan()
+    rating, due = config.rating, None
+    if somebody_trains(config, standing):
+        due = booking(rating.share, standing.trained(config.training.schedule), standing.batches)
+        if due is None or all(s.initial for s in standing.snapshots if s.player):
+            return Plan()
     alone, never = _set_aside(standing)
     if alone:
-        return Plan(tuple(_match(config, standing, [pair]) for pair in alone))
-    rating = config.rating
+        return Plan(tuple(_match(config, standing, [pair], due) for pair in alone))
     room = rating.pairings * max(1, config.workers.match)
     pairs = [pair for pair in _wanted(config, standing, room + len(never)) if pair not in never][:room]
     batches = [pairs[i : i + rating.pairings] for i in range(0, len(pairs), rating.pairings)]
-    return Plan(tuple(_match(config, standing, batch) for batch in batches))
+    return Plan(tuple(_match(config, standing, batch, due) for batch in batches))
 
 
 def _wanted(config: Config, standing: Standing, room: int) -> list[Pair]:
@@ -286,15 +283,20 @@ def _wanted(config: Config, standing: Standing, room: int) -> list[Pair]:
 
 
 def _trials(config: Config, standing: Standing) -> list[Pair]:
-    """In an arena of one team: the snapshots that have not shown often enough whether they succeed, newest first."""
-    quota = config.rating.final_quota if trained_enough(config, standing) else config.rating.quota
+    """In an arena of one team: the snapshots that have not shown often enough whether they succeed, newest first.
+
+    Where training waits for a success, no batch is of others alone: the next snapshot would have to wait for it.
+    """
+    over = trained_enough(config, standing)
+    quota = config.rating.final_quota if over else config.rating.quota
     newest = {s.name for s in newest_snapshots(standing)}
     order = sorted(standing.snapshots, key=lambda s: (s.name not in newest, -s.iteration, s.name))
-    return [
-        (s.name, None)
-        for s in order
-        if standing.ladder.tried(s.name) < (quota if s.name in newest else config.rating.quota)
+    found = [
+        s.name for s in order if standing.ladder.tried(s.name) < (quota if s.name in newest else config.rating.quota)
     ]
+    if config.budget.success is not None and not over and newest.isdisjoint(found):
+        return []
+    return [(name, None) for name in found]
 
 
 def _set_aside(standing: Standing) -> tuple[list[Pair], set[Pair]]:
@@ -329,10 +331,10 @@ def _about(standing: Standing, pairs: Sequence[Pair]) -> list[list]:
     return [[*pair, _episodes(standing, pair)] for pair in pairs]
 
 
-def _match(config: Config, standing: Standing, pairs: Sequence[Pair]) -> Job:
+def _match(config: Config, standing: Standing, pairs: Sequence[Pair], due: float | None) -> Job:
     about = _about(standing, pairs)
     seed = crc32(f"{config.seed}/{about}".encode())
-    return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record), about)
+    return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record, due=due), about)
 
 
 def cut_short(config: Config, standing: Standing) -> bool:

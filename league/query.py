@@ -5,7 +5,7 @@ Reads the store and nothing else: neither jax nor torch nor mujoco is loaded.
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Row = dict[str, Any]
+R = TypeVar("R", int, float, str)
 VOID_LIMIT = 0.02
 """Where a league's settings do not say (`rating.void_limit`) from which share on void episodes are suspect."""
 
@@ -95,12 +96,19 @@ class Open:
 
     def void_limit(self) -> float:
         """The league's `rating.void_limit`, read without what a whole configuration needs, such as its arena's file."""
+        return self.setting("rating", "void_limit", otherwise=VOID_LIMIT)
+
+    def setting(self, *key: str, otherwise: R) -> R:
+        """One of the league's settings, `setting("rating", "quota", otherwise=128)`, where its text has that."""
         import tomllib
 
         try:
-            return float(tomllib.loads(self.store.league(self.league).config)["rating"]["void_limit"])
+            value: Any = tomllib.loads(self.store.league(self.league).config)
+            for name in key:
+                value = value[name]
+            return type(otherwise)(value)
         except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError):
-            return VOID_LIMIT
+            return otherwise
 
 
 def only_league(store: Store) -> str:

@@ -2,10 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 from matchmaking.ladder import Ladder
-from storage.records import ArenaKey, Checkpoint, Job, Phase, Player, Snapshot
+from matchmaking.schedule import Schedule
+from storage.records import ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
 from storage.store import Store
+
+
+class Batches(NamedTuple):
+    """The rating batches that were queued last, together, while players learnt."""
+
+    due: float  # the second of training to which they are booked, see share.py
+    seconds: float  # device time that they took
 
 
 @dataclass(frozen=True)
@@ -21,6 +31,7 @@ class Standing:
     ladder: Ladder = field(default_factory=lambda: Ladder(()))  # of the rating matches under it
     read: int = 0  # the last rating match that was read, under whatever key
     played: float = 0.0  # when that match was written, on the database's clock
+    batches: Batches | None = None  # None before the first
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
     revision: int = -1  # of the store when this was read
 
@@ -46,17 +57,40 @@ class Standing:
             return before
         jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
         snapshots = store.snapshots(league)
-        arena, ladder, read, played = _ladder(store, league, before, arena, snapshots)
+        before = before or cls()
+        new = store.matches(league, "rating", after=before.read)
+        arena, ladder = _ladder(store, league, before, arena, snapshots, new)
+        read, played = (new[-1].id, new[-1].created) if new else (before.read, before.played)
         checkpoints = store.newest_checkpoints(league)
         return cls(
             store.players(league), snapshots, checkpoints, store.phases(league),
             sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
-            _rewards(store, checkpoints, recent), revision,
+            _batches(before.batches, new), _rewards(store, checkpoints, recent), revision,
         )  # fmt: skip
 
     def history(self, player: str) -> list[Snapshot]:
         """A player's snapshots, oldest first."""
         return [s for s in self.snapshots if s.player == player]
+
+    @cached_property
+    def groups(self) -> Mapping[str, Sequence[Player]]:
+        """The players that learn together, by the name of their group."""
+        names = dict.fromkeys(player.group for player in self.players)
+        return {name: [player for player in self.players if player.group == name] for name in names}
+
+    def spent(self, group: str, schedule: Schedule) -> tuple[float, int]:
+        """Seconds and environment steps that a group has been trained for.
+
+        A player's own count only grows while it learns: where they take turns the group's is the sum, else that of the
+        one that has come furthest.
+        """
+        own = [self.checkpoints[p.name] for p in self.groups[group] if p.name in self.checkpoints]
+        total = sum if schedule.adds_up else max
+        return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
+
+    def trained(self, schedule: Schedule) -> float:
+        """Seconds that devices have trained for: of all groups together, each of which has one to itself."""
+        return sum(self.spent(group, schedule)[0] for group in self.groups)
 
     @property
     def newest(self) -> Checkpoint | None:
@@ -80,16 +114,24 @@ def _rewards(store: Store, checkpoints: Mapping[str, Checkpoint], recent: int) -
     return found
 
 
+def _batches(last: Batches | None, new: Sequence[Match]) -> Batches | None:
+    """The newest batches, given those before the `new` matches."""
+    for match in new:
+        if match.due is not None:
+            paid = last.seconds if last is not None and last.due == match.due else 0.0
+            last = Batches(match.due, paid + match.seconds)
+    return last
+
+
 def _ladder(
-    store: Store, league: str, before: Standing | None, arena: ArenaKey | None, snapshots: Sequence[Snapshot]
-) -> tuple[ArenaKey | None, Ladder, int, float]:
-    """The key, its ladder, the last match that was read, and when that was written."""
+    store: Store, league: str, before: Standing, arena: ArenaKey | None, snapshots: Sequence[Snapshot],
+    new: Sequence[Match],
+) -> tuple[ArenaKey | None, Ladder]:  # fmt: skip
+    """The key and its ladder, with the matches that are `new` since before."""
     names, anchors = [s.name for s in snapshots], [s.name for s in snapshots if s.initial]
-    before = before or Standing()
-    log = store.matches(league, "rating", after=before.read)
-    read, played = (log[-1].id, log[-1].created) if log else (before.read, before.played)
-    key = arena or (log[-1].arena if log else before.arena)
-    known = before.ladder
+    key = arena or (new[-1].arena if new else before.arena)
+    log, known = new, before.ladder
     if key != before.arena and before.read:  # another ladder than before: from the start
+        read = new[-1].id if new else before.read
         log, known = [m for m in store.matches(league, "rating") if m.id <= read], Ladder(())
-    return key, known.extended([m for m in log if m.arena == key], names, anchors), read, played
+    return key, known.extended([m for m in log if m.arena == key], names, anchors)

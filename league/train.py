@@ -25,6 +25,7 @@ from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_ro
 from arenas.arena import Arena
 from arenas.state import TeamSpec
 from league import heirs
+from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.sections import named_players
@@ -79,8 +80,7 @@ class Trainer:
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
         self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
-        self._rollout = make_rollout(arena, config.training.rollout)
-        self._compiled: dict[object, Callable] = {}
+        self._rollout = Compiled(make_rollout(arena, config.training.rollout), arena)
         self._shapes = self._architectures()
 
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
@@ -277,14 +277,7 @@ class Trainer:
         else:
             keys = jax.random.split(self._key(turn, "worlds"), lineup.worlds)
             worlds = jax.block_until_ready(self._reset(keys))
-        crews = self._crews(lineup)
-        shape = jax.tree.structure(crews), tuple(x.shape for x in jax.tree.leaves(crews)), lineup.worlds
-        if shape not in self._compiled:
-            self._compiled[shape] = self._rollout.lower(crews, worlds, jax.random.key(0)).compile()
-            if self.arena.engine.name == "warp":  # its kernels are compiled and loaded when they first run
-                copy = jax.tree.map(lambda x: x.copy(), worlds)
-                jax.block_until_ready(self._compiled[shape](crews, copy, jax.random.key(0)))
-        return worlds, self._compiled[shape]
+        return worlds, self._rollout.ready(self._crews(lineup), worlds, jax.random.key(0))
 
     def _key(self, turn: TrainingTurn, purpose: str) -> Array:
         """A key for one purpose and moment, the same in every process and after every restart."""

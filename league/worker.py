@@ -12,12 +12,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from league import devices, environment
 from league.config import experiment as configuration
 from league.jobs import RatingMatch, Task, TrainingTurn, decode
+from league.plan import next_turns
+from league.standing import Standing
 from storage.errors import Away, LeaseLost, StorageError
 from storage.records import Job, Lease
 from storage.store import Store
@@ -81,6 +83,7 @@ class Worker:
         self._lost = False
         self._ended = threading.Event()
         self._heavy: dict[str, Any] = {}
+        self._standing: Standing | None = None  # when it was looked at last
         self._handlers: Mapping[type[Task], Callable[[Lease, Any], None]] = {
             TrainingTurn: self._train,
             RatingMatch: self._match,
@@ -163,6 +166,19 @@ class Worker:
         except BaseException:
             self._heavy.pop("trainer", None)  # it may stand anywhere; the store knows better
             raise
+        if not self.stopping.is_set():
+            self._ask_on()
+
+    def _ask_on(self) -> None:
+        """Ask the plan what follows a turn, as the manager does: that one looks at the store only now and then.
+
+        The plan says the same to both, and what both of them queue is queued once.
+        """
+        league, window = self.config.league, self.config.budget.window
+        self._standing = Standing.of(self.store, league, self._standing, recent=window)
+        following = next_turns(self.config, self._standing)
+        if following.jobs:
+            self.store.queue(following.jobs, following.phases)
 
     def _trainer(self, turn: TrainingTurn) -> "Trainer":
         from league.prepare import worlds as training_worlds
@@ -189,7 +205,8 @@ class Worker:
     def _match(self, lease: Lease, task: RatingMatch) -> None:
         referee = self._referee()
         self.status = {"doing": "rating", "pairs": len(task.pairs)}
-        matches = referee.play(self.store, task)
+        found = referee.play(self.store, task)
+        matches = [replace(match, seconds=referee.seconds / len(found), due=task.due) for match in found]
         self._patiently(lambda: self.store.finish(lease, matches=matches))
 
     def _referee(self) -> "Referee":

@@ -117,7 +117,9 @@ class Match:
     `wins`, `draws` and `losses` count every valid episode; `side_*` count only those in which A played team 0, so that
     an arena's side advantage can be estimated. `pairs` counts the complete seed pairs (empty where sides were not
     swapped). `voids` were stopped by unstable physics and count for nobody; `voids_a` and `voids_b` are those of them
-    in which only that side's robots went bad. In an arena of one team there is no B: a win is a success.
+    in which only that side's robots went bad. In an arena of one team there is no B: a win is a success. `seconds` is
+    its part of the device time that was spent on playing, compiling left out (0 where nobody measured it); `due` is set
+    for a batch that was queued while players learnt: the second of the league's training to which it is booked.
     """
 
     league: str
@@ -138,6 +140,8 @@ class Match:
     recording: str | None = None  # digest of an MCAP blob
     voids_a: int = 0
     voids_b: int = 0
+    seconds: float = 0.0
+    due: float | None = None
     id: int = 0  # 1, 2, 3, ... in the order of commits, within the league
     created: float = 0.0
 

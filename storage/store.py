@@ -225,6 +225,13 @@ class Store:
         chosen = [c.purpose == purpose] if purpose is not None else []
         return self._db.records(Match, t.matches, c.league == league, c.id > after, *chosen, order=[c.id])
 
+    def booked(self, league: str) -> tuple[float, float]:
+        """Device seconds of the matches that were queued while players learnt, and their first `due`; zeros without."""
+        c = t.matches.c
+        query = sa.select(sa.func.sum(c.seconds), sa.func.min(c.due)).where(c.league == league, c.due.is_not(None))
+        seconds, first = self._db.rows(query)[0]
+        return seconds or 0.0, first or 0.0
+
     def curves(self, league: str, player: str | None = None, after: int = 0) -> list[CurvePoint]:
         """What learning was like after an iteration, for all players or one, by (player, iteration)."""
         c = t.curves.c

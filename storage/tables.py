@@ -139,6 +139,8 @@ matches = sa.Table(
     *map(_count, (*PairCounts._fields, "seed", "steps", "voids_a", "voids_b")),
     _text("purpose"),
     _text("recording", nullable=True),
+    _real("seconds", default=0.0),
+    sa.Column("due", sa.Double),
     _time("created"),
     sa.ForeignKeyConstraint(["league", "a"], ["snapshots.league", "snapshots.name"]),
     sa.ForeignKeyConstraint(["league", "b"], ["snapshots.league", "snapshots.name"]),
@@ -196,12 +198,19 @@ workers = sa.Table(
     _time("seen"),
 )
 
+
+def add_seconds_of_matches(db: sa.Connection) -> None:
+    """From schema 2 to 3: what matches cost. Of those played before nobody knows it."""
+    db.execute(sa.text("ALTER TABLE matches ADD COLUMN seconds DOUBLE PRECISION NOT NULL DEFAULT 0"))
+    db.execute(sa.text("ALTER TABLE matches ADD COLUMN due DOUBLE PRECISION"))
+
+
 # The oldest schema that can be brought up to date. Schema 1 keyed snapshots by their bytes and leagues by their arena.
 FIRST_SCHEMA = 2
 
 # MIGRATIONS[i] takes a database from schema FIRST_SCHEMA + i to the next. A new store is made from the tables above, so
 # whoever adds a migration changes the tables to match.
-MIGRATIONS: list[Callable[[sa.Connection], None]] = []
+MIGRATIONS: list[Callable[[sa.Connection], None]] = [add_seconds_of_matches]
 
 
 def newest_schema() -> int:

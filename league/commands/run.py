@@ -18,7 +18,7 @@ from league.config.experiment import Budget, Config
 from league.config.schema import ConfigError
 from league.daemon import DaemonError
 from league.liveness import leader
-from league.plan import cut_short, groups, spent, trained_enough
+from league.plan import cut_short, spent, trained_enough
 from league.prepare import prepare
 from league.standing import Standing
 from storage.errors import NotAStore
@@ -90,7 +90,7 @@ def _refuse_second(where: str, config: Config) -> None:
 def _with_budget(asked: Asked, standing: Standing) -> Config:
     """The settings with the budget of this run: --for and --steps count from now; a plain `league run` has none."""
     config, options = asked.config, asked.options
-    used = [spent(config, standing, group) for group in groups(standing)]
+    used = [spent(config, standing, group) for group in standing.groups]
     done, steps = max((seconds for seconds, _ in used), default=0.0), max((steps for _, steps in used), default=0)
     if options.duration is not None or options.steps is not None:
         train = None if options.duration is None else f"{done + seconds(options.duration):.3f}s"

@@ -2,14 +2,18 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from typing import get_args
 
 from dashboards.tables import Column, render
 from league.commands.options import Where, parse
 from league.commands.tables import clock
+from league.config.sections import Rating
 from league.course import course
 from league.liveness import leader, processes
 from league.query import Open
-from matchmaking.schedule import Learnt, remaining
+from league.share import words
+from league.standing import Standing
+from matchmaking.schedule import Kind, Learnt, Schedule, remaining
 from storage.records import Checkpoint, Job, Phase, Player, Worker
 from storage.store import Store
 
@@ -42,6 +46,7 @@ def report(opened: Open, whole_errors: bool = False) -> str:
         f"League {league}: {runs or 'stopped'}\n"
         f"Jobs: {', '.join(f'{n:,} {STATES[state]}' for state, n in counts.items())}",
         render([_player(p, checkpoints.get(p.name), phases.get(p.group), bool(runs)) for p in players], PLAYERS),
+        _share(opened, players, checkpoints),
         *_listed("Phases", [_phase(phase, checkpoints) for phase in phases.values() if phase.learners]),
         *_listed("Paused", [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None]),
         *_listed("Set aside", [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"]),
@@ -97,6 +102,16 @@ def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint]) -> str:
         end = f"it ends after {phase.until['iterations']} iterations, {left} are left"
     verb = "learns" if len(phase.learners) == 1 else "learn"
     return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
+
+
+def _share(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Checkpoint]) -> str:
+    """What rating matches have taken of the devices that train, since the first of which that is known."""
+    rated, first = opened.store.booked(opened.league)
+    schedules = {kind: Schedule(kind) for kind in get_args(Kind)}
+    schedule = schedules.get(opened.setting("training", "schedule", "kind", otherwise=""), Schedule())
+    asked = opened.setting("rating", "share", otherwise=Rating().share)
+    since = Standing(players, checkpoints=checkpoints).trained(schedule) - first
+    return f"Rating: {words(asked, max(0.0, since), rated)}"
 
 
 def _set_aside(job: Job, whole: bool) -> str:

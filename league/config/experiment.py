@@ -77,6 +77,8 @@ class Config:
                 f"rating.worlds: must be a multiple of 2 × rating.pairings, {2 * rating.pairings};"
                 " every pairing plays as many episodes on either side"
             )
+        if rating.share == 0.0 and self.budget.success is not None:
+            raise ValueError("rating.share: must be above 0 where budget.success is set, which is rated while training")
         if training.worlds is not None:
             samples = training.worlds * training.rollout
             if self.learner.minibatches > samples:

@@ -97,6 +97,8 @@ class Rating:
     """Scripted opponents in the rating pool (none: all that the arena has)."""
     trained: bool = True
     """Policies that come with the league are in the rating pool of the arena in which they learnt."""
+    share: float = field(default=0.1, metadata={"low": 0.0, "high": 1.0})
+    """Share of the time of the devices that train which matches may take meanwhile (1: as much as they get)."""
     void_limit: float = field(default=0.02, metadata={"low": 0.0, "high": 1.0})
     """Share of void episodes above which a snapshot is flagged: it may gain from breaking physics."""
     record: bool = True

@@ -35,3 +35,11 @@ def test_they_are_counted_as_the_driver_lists_them(monkeypatch, tmp_path):
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
     assert devices.gpus() == ("0", "1")
+
+
+def test_of_a_cpu_all_cores_are_one_device_and_of_a_gpu_every_second_counts(monkeypatch):
+    monkeypatch.setattr(devices.time, "process_time", lambda: 6.0)
+    monkeypatch.setattr(devices.time, "monotonic", lambda: 100.0)
+    monkeypatch.setattr(devices.os, "cpu_count", lambda: 4)
+    assert devices.used("cpu") == 1.5
+    assert devices.used("gpu") == 100.0

@@ -96,6 +96,7 @@ def test_scripts_really_play_and_a_batch_with_one_pair_fills_all_its_places(refe
         matches = referee.play(store, task)
         assert [m.wins + m.draws + m.losses + m.voids for m in matches] == [8, 8]
         assert sum(m.wins for m in matches) >= 14  # the ring shrinks until idle rovers stand outside
+        assert referee.seconds > 0.0
         assert matches == referee.play(store, task)
         assert all(isinstance(m, Match) and m.arena == referee.key for m in matches)
 

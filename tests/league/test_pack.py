@@ -544,7 +544,7 @@ def test_an_unpacked_league_goes_on_as_the_original_would(tmp_path):
     at_home, away = tmp_path / "home", tmp_path / "away"
     at_home.mkdir()
     away.mkdir()
-    run = ("run", *TINY, "--deterministic", "--budget.rate", "10s")
+    run = ("run", *TINY, "--deterministic", "--budget.rate", "30s")
     assert call(*run, "--budget.steps", "8192", cwd=at_home).returncode == 0
     assert call("pack", str(tmp_path / "tiny.zip"), "--newest", cwd=at_home).returncode == 0
     assert call("unpack", str(tmp_path / "tiny.zip"), "--as", "mini", cwd=away).returncode == 0

@@ -9,10 +9,12 @@ from league.config import experiment as configuration
 from league.config import presets
 from league.jobs import RatingMatch, TrainingTurn, decode
 from league.measures import initial_opponents, yardsticks
-from league.standing import Standing
+from league.share import CREDIT
+from league.standing import Batches, Standing
 from matchmaking.ladder import Ladder
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
+from storage.errors import StorageError
 from storage.records import ArenaKey, Checkpoint, Job, Match, PairCounts, Phase, Player, Snapshot
 
 KEY = ArenaKey("sumo-2v2", "0", "c")
@@ -328,3 +330,132 @@ def test_phases_and_jobs_survive_the_stores_json():
 
     job = encode("quickstart", task, "x")
     assert decode(replace(job, payload=json.loads(json.dumps(job.payload)))) == task
+
+
+# The share of rating
+
+
+def sharing(share=0.1, **changes):
+    base = training(**changes)
+    return replace(base, rating=replace(base.rating, share=share))
+
+
+def under_way(seconds: float, last: Batches | None = None, **given) -> Standing:
+    """A league that has been trained for so long, in which there is much to be rated."""
+    frozen = snapshots(0, 1, 2, 4, 8, 16, 32, 64)
+    return standing(**{"checkpoints": checkpoints(64, seconds), "snapshots": frozen, "batches": last, **given})
+
+
+def dues(config, state) -> list[float | None]:
+    return [decode(job).due for job in plan.next_matches(config, state).jobs]
+
+
+def test_matches_wait_until_training_has_paid_for_the_last_ones():
+    last = Batches(due=100.0, seconds=3.0)  # at a tenth it is paid for at second 130
+    assert dues(sharing(), under_way(129.9, last)) == []
+    assert dues(sharing(), under_way(130.0, last)) == [130.0]
+    assert dues(sharing(0.2), under_way(115.0, last)) == [115.0]
+    assert dues(sharing(0.01), under_way(290.0, last)) == []
+
+
+def test_the_first_batch_waits_for_nothing_and_time_saved_for_long_is_forgotten():
+    assert dues(sharing(), under_way(0.0)) == [0.0]
+    assert dues(sharing(), under_way(250.0)) == [250.0 - CREDIT]
+    assert dues(sharing(), under_way(250.0, Batches(10.0, 1.0))) == [250.0 - CREDIT]
+
+
+@pytest.mark.parametrize("took", [1.5, 60.0])
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.4])
+def test_what_matches_took_in_all_is_their_share_whatever_a_batch_takes(took, share):
+    config, last, rated = sharing(share, turn=16), None, 0.0
+    for turn in range(1, 501):  # of 4 s each: 240 s in which nobody asks, then all the time
+        state = under_way(4.0 * turn, last)
+        config = replace(config, budget=configuration.Budget())
+        for _ in range(1000 if turn > 60 else 0):
+            if not (due := dues(config, replace(state, batches=last))):
+                break
+            last, rated = Batches(due[0], took), rated + took
+    assert last is not None
+    counted = 2000.0 - (240.0 - CREDIT)
+    assert share * counted - took - 4.0 <= rated <= share * counted + took
+
+
+def test_before_anybody_has_learnt_there_is_no_progress_to_be_told():
+    state = under_way(0.0, checkpoints=checkpoints(0), snapshots=snapshots(0))
+    assert dues(sharing(), state) == []
+    assert dues(sharing(), replace(state, snapshots=snapshots(0, 1), ladder=under_way(0.0).ladder)) == [0.0]
+
+
+def test_each_match_worker_pays():
+    config = sharing()
+    config = replace(config, workers=replace(config.workers, match=3))
+    jobs = plan.next_matches(config, under_way(50.0, Batches(40.0, 1.0))).jobs
+    assert [decode(job).due for job in jobs] == [50.0] * 3
+    assert dues(config, under_way(79.0, Batches(50.0, 3 * 1.0))) == []
+    assert dues(config, under_way(80.0, Batches(50.0, 3 * 1.0))) == [80.0] * 3
+
+
+def test_groups_train_on_a_device_each():
+    own = dict(checkpoints({"blue": 8, "red": 8, "blue-2": 8, "red-2": 8}, 60.0, MORE))
+    state = under_way(0.0, Batches(100.0, 2.0), players=MORE, checkpoints=own, snapshots=snapshots(0, 1, players=MORE))
+    assert state.trained(Schedule()) == 120.0  # players of a group learn at the same time
+    assert state.trained(Schedule("leapfrog")) == 240.0  # or in turn
+    assert dues(sharing(), state) == [120.0]
+
+
+def test_when_training_is_over_matches_take_all_that_there_is():
+    state = under_way(300.0, Batches(299.0, 50.0))
+    assert dues(sharing(), state) == [None]
+    assert dues(sharing(0.0), state) == [None]
+    (turn,) = plan.next_turns(sharing(), under_way(299.0)).jobs
+    still = replace(state, jobs=(replace(turn, state="leased"),))  # the budget is spent but a turn is open
+    assert dues(sharing(), still) == []
+
+
+def test_none_or_all_of_it():
+    assert dues(sharing(0.0), under_way(0.0)) == []
+    assert dues(sharing(0.0), under_way(250.0)) == []
+    assert dues(sharing(1.0), under_way(250.0, Batches(249.0, 500.0))) == [250.0]
+
+
+def test_another_way_of_counting_training_stops_no_matches():
+    """From leapfrog to simultaneous, the group's time is no longer the sum of its players'."""
+    assert dues(sharing(), under_way(150.0, Batches(280.0, 5.0))) == [150.0 - CREDIT]
+
+
+def test_pairs_of_a_batch_set_aside_pay_as_well():
+    state = under_way(200.0, Batches(190.0, 0.5))
+    (batch,) = plan.next_matches(sharing(), state).jobs
+    failed = replace(state, jobs=(replace(batch, state="failed"),))
+    assert dues(sharing(), failed) == [195.0] * 4
+    assert dues(sharing(), replace(failed, batches=Batches(195.0, 4.0))) == []
+
+
+def test_what_a_batch_is_booked_to_does_not_make_it_another():
+    (early,) = plan.next_matches(sharing(), under_way(50.0)).jobs
+    (late,) = plan.next_matches(sharing(), under_way(200.0)).jobs
+    assert (early.key, decode(early).seed) == (late.key, decode(late).seed)
+
+
+def test_trials_that_may_end_a_stage_come_first_and_no_others_hold_them_up():
+    frozen = snapshots(0, 1, 2, 4, 8, 16, 32, 64, players=PLAYERS[:1])
+    alone = under_way(100.0, players=PLAYERS[:1], checkpoints=checkpoints(64, 100.0, PLAYERS[:1]), snapshots=frozen)
+    config = sharing()
+    deciding = replace(config, budget=configuration.Budget(success=0.9))
+    tried = _with(alone, [match("blue@64", None, config.rating.quota)])
+    for each in (config, deciding):
+        assert pairs_of(plan.next_matches(each, alone)) == [(f"blue@{i}", None) for i in (64, 32, 16, 8)]
+    assert pairs_of(plan.next_matches(config, tried)) == [(f"blue@{i}", None) for i in (32, 16, 8, 4)]
+    assert pairs_of(plan.next_matches(deciding, tried)) == []
+    over = replace(tried, checkpoints=checkpoints(64, 300.0, PLAYERS[:1]))
+    over_config = replace(deciding, budget=configuration.Budget(success=0.9, train="5m"))
+    assert ("blue@32", None) in pairs_of(plan.next_matches(over_config, over))
+
+
+def test_a_job_that_an_older_version_queued_is_still_understood():
+    job = plan.next_matches(sharing(), under_way(50.0)).jobs[0]
+    old = replace(job, payload={name: value for name, value in job.payload.items() if name != "due"})
+    assert decode(old) == replace(decode(job), due=None)
+    for odd in ({"pairs": [["a", "b"]]}, {**job.payload, "more": 1}):
+        with pytest.raises(StorageError, match="is of no kind that this version knows"):
+            decode(replace(job, payload=odd))

@@ -11,7 +11,7 @@ from league.commands import status as module
 from league.commands.status import report, status
 from league.query import Open
 from storage.records import Job, Phase
-from tests.league.leagues import filled
+from tests.league.leagues import filled, finish, match
 
 HERE = socket.gethostname()
 ALIVE = f"{HERE}:{os.getpid()}:manager"
@@ -68,6 +68,17 @@ def test_it_tells_who_learns_since_when_and_what_ends_it(opened):
         line.split()[0]: line.split()[-1] for line in report(opened).splitlines() if line.startswith((" blue", " red"))
     }
     assert now == {"blue": "rests", "red": "learns"}
+
+
+def test_it_tells_what_rating_takes_of_training(opened):
+    assert "Rating: 0 % of the time of the devices that train (rating.share: 10 %)" in words(opened)
+    log = [match("blue@4", "blue@0", 3, 1, due=due, seconds=90.0) for due in (None, 400.0, 900.0)]
+    finish(opened.store, matches=log)
+    opened.store.set_config("cup", "[rating]\nshare = 0.05\n")
+    # 180 s of the 4,000 that blue and red were trained for, less the 400 of which nobody noted what was rated.
+    assert "Rating: 5 % of the time of the devices that train (rating.share: 5 %)" in words(opened)
+    opened.store.set_config("cup", '[rating]\nshare = 1.0\n[training.schedule]\nkind = "leapfrog"\n')
+    assert "Rating: 2.37 % of the time of the devices that train (rating.share: as much as they get)" in words(opened)
 
 
 def test_paused_players_and_jobs_set_aside_tell_their_reasons(opened):

@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from storage import tables
 from storage.errors import Away, NewerStore, NotAStore, OldStore, StorageError
 from storage.records import League
 from storage.store import Store
+from tests.storage.conftest import fill, finish_a_job, match
 
 LEAGUE = League("cup", "seed = 1")
 
@@ -143,7 +145,7 @@ def test_a_newer_store_is_refused_and_both_schemas_named(place: tuple[str, str],
     Store.open(where, create=True, blobs=blobs).close()
     monkeypatch.undo()
     for create in (False, True):
-        with pytest.raises(NewerStore, match="has schema 8, but this program knows only up to 2: update"):
+        with pytest.raises(NewerStore, match="has schema 8, but this program knows only up to 3: update"):
             Store.open(where, create=create, blobs=blobs)
 
 
@@ -157,6 +159,21 @@ def test_a_store_of_the_first_schema_is_refused_and_left_as_it_is(place: tuple[s
     with pytest.raises(OldStore, match=r"has schema 1, .*can be brought up to date .2.*give another place") as caught:
         Store.open(where, create=create, blobs=blobs)
     assert "\n" not in str(caught.value)
+
+
+def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nobody_knows(place: tuple[str, str]):
+    where, blobs = place
+    with Store.open(where, create=True, blobs=blobs) as store:
+        fill(store)
+        finish_a_job(store, matches=[match(1)])
+        with store._db.writing() as db:
+            for column in ("seconds", "due"):
+                db.execute(sa.text(f"ALTER TABLE matches DROP COLUMN {column}"))
+            db.execute(sa.update(tables.changes).values(schema=2))
+    with Store.open(where, blobs=blobs) as store:
+        finish_a_job(store, matches=[replace(match(2), seconds=1.5, due=7.25)])
+        assert [(m.seed, m.seconds, m.due) for m in store.matches("cup")] == [(1, 0.0, None), (2, 1.5, 7.25)]
+        assert store.booked("cup") == (1.5, 7.25)
 
 
 def add_notes(db: sa.Connection) -> None:
@@ -175,15 +192,16 @@ def fill_notes(db: sa.Connection) -> None:
 def test_each_migration_is_whole_recorded_and_made_once(place: tuple[str, str], monkeypatch: pytest.MonkeyPatch):
     where, blobs = place
     Store.open(where, create=True, blobs=blobs).close()
-    monkeypatch.setattr(tables, "MIGRATIONS", [add_notes, fill_notes_and_fail])
+    made_so_far = tables.MIGRATIONS
+    monkeypatch.setattr(tables, "MIGRATIONS", [*made_so_far, add_notes, fill_notes_and_fail])
     with pytest.raises(StorageError, match="nowhere"):
         Store.open(where, blobs=blobs)
-    monkeypatch.setattr(tables, "MIGRATIONS", [add_notes, fill_notes])
+    monkeypatch.setattr(tables, "MIGRATIONS", [*made_so_far, add_notes, fill_notes])
     for _ in range(2):
         with Store.open(where, blobs=blobs) as store, store._db.engine.connect() as db:
             made = db.execute(sa.select(tables.changes.c.schema, tables.changes.c.change)).all()
             notes = db.execute(sa.text("SELECT body FROM notes")).all()
-        assert sorted(map(tuple, made)) == [(2, "created"), (3, "add_notes"), (4, "fill_notes")]
+        assert sorted(map(tuple, made)) == [(3, "created"), (4, "add_notes"), (5, "fill_notes")]
         assert notes == [("whole",)]
 
 

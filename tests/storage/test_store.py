@@ -27,7 +27,7 @@ from tests.storage.conftest import KEY, finish_a_job, match, snapshot
 def distinct_match(seed: int, purpose: str = "rating", b: str | None = "red@0") -> Match:
     """Every number is a different one, so that two swapped columns cannot hide."""
     counts = (11, 12, 13, 14, 5, 6, 7, PairCounts(1, 2, 3, 4, 8))
-    more = {"steps": 2**40 + seed, "purpose": purpose, "voids_a": 9, "voids_b": 10}
+    more = {"steps": 2**40 + seed, "purpose": purpose, "voids_a": 9, "voids_b": 10, "seconds": 0.5, "due": 21.75}
     return Match("cup", KEY._replace(engine=f"e{seed}"), "blue@0", b, *counts, seed=seed, **more)  # type: ignore[arg-type]
 
 

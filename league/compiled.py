@@ -1,0 +1,28 @@
+"""Programs that are compiled before they run, so that no clock takes compiling for work."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from arenas.arena import Arena
+
+
+class Compiled:
+    """A jitted program of an arena, compiled once for every shape of its arguments."""
+
+    def __init__(self, program: jax.stages.Wrapped, arena: Arena):
+        self._program = program
+        self._loads_late = arena.engine.name == "warp"  # its kernels are compiled and loaded when they first run
+        self._ready: dict[object, Callable[..., Any]] = {}
+
+    def ready(self, *args: Any) -> Callable[..., Any]:
+        """The program for arguments of these shapes, all of them arrays; what is still to be compiled is, now."""
+        leaves, structure = jax.tree.flatten(args)
+        shape = structure, tuple((x.shape, x.dtype) for x in leaves)
+        if shape not in self._ready:
+            self._ready[shape] = self._program.lower(*args).compile()
+            if self._loads_late:
+                copies = jax.tree.map(lambda x: x.copy(), args)  # a run may use its arguments up
+                jax.block_until_ready(self._ready[shape](*copies))
+        return self._ready[shape]
