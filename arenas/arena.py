@@ -233,9 +233,7 @@ class Arena(ABC):
         whole = self.command(actions)
         wild = self._wild(actions)
 
-        def control_step(
-            carry: tuple[Physics, Any, Verdict, Array, Array], moved: Moved | None
-        ) -> tuple[Any, Frames]:
+        def control_step(carry: tuple[Physics, Any, Verdict, Array, Array], moved: Moved | None) -> tuple[Any, Frames]:
             before, game, verdict, void, culprits = carry
             command = self.command(self._of_the_living(actions, self.alive(before, game))) if self._mortal else whole
             physics = self.engine.step(before, command, self.timing.substeps, self.law, moved)
@@ -336,9 +334,7 @@ class Arena(ABC):
         place = np.argsort(np.concatenate([driven, plain]))
 
         def law(qpos: Any, qvel: Any, command: Any) -> Any:
-            ctrl = [
-                own(qpos[..., at.joint_qpos], qvel[..., at.joint_qvel], command[..., at.ctrl]) for at, own in laws
-            ]
+            ctrl = [own(qpos[..., at.joint_qpos], qvel[..., at.joint_qvel], command[..., at.ctrl]) for at, own in laws]
             arrays = command.__array_namespace__()  # jax.numpy, or numpy in the C engine
             return arrays.concat([*ctrl, command[..., plain]], axis=-1)[..., place]
 
