@@ -16,13 +16,14 @@ from typing import Any, Unpack, final
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jax import Array
 
 from arenas.about import Legend, Part
 from arenas.engines import make_engine
 from arenas.errors import ArenaError
 from arenas.options import Solver, Timing, Where
-from arenas.physics import Engine, Law, Physics, sound, stackable
+from arenas.physics import Engine, Law, Moved, Physics, sound, stackable
 from arenas.props import Prop
 from arenas.robots.robot import Body, Robot, Script
 from arenas.scene import Scene, build
@@ -232,10 +233,10 @@ class Arena(ABC):
         whole = self.command(actions)
         wild = self._wild(actions)
 
-        def control_step(carry: tuple[Physics, Any, Verdict, Array, Array], _: None) -> tuple[Any, Frames]:
+        def control_step(carry: tuple[Physics, Any, Verdict, Array, Array], moved: Moved | None) -> tuple[Any, Frames]:
             before, game, verdict, void, culprits = carry
             command = self.command(self._of_the_living(actions, self.alive(before, game))) if self._mortal else whole
-            physics = self.engine.step(before, command, self.timing.substeps, self.law)
+            physics = self.engine.step(before, command, self.timing.substeps, self.law, moved)
             decided = verdict.terminated | verdict.truncated | void
             game_after, news = self.judge(before, physics, game)
             broken = ~decided & (physics.unstable | wild.any())
@@ -251,7 +252,7 @@ class Arena(ABC):
             lambda old, new: jnp.where(state.done, old, new), state.game, self.decide(state.game, actions)
         )
         carry = (state.physics, game, first, state.void, state.culprits)
-        carry, frames = jax.lax.scan(control_step, carry, length=self.timing.hold)
+        carry, frames = jax.lax.scan(control_step, carry, self._ahead(state.physics, whole), self.timing.hold)
         physics, game, verdict, void, culprits = carry
         alive, observations = self._look(physics, game, actions)
         return State(physics, game, observations, actions, verdict, void, culprits, alive), frames
@@ -296,6 +297,15 @@ class Arena(ABC):
         """Whether the game ever says that somebody is out of it; the others pay nothing for the question."""
         return type(self).alive is not Arena.alive
 
+    def _ahead(self, physics: Physics, command: Array) -> Moved | None:
+        """All control steps of a decision, stacked, where the engine can make them before the game judges the first.
+
+        Where somebody may drop out of the game between two of them, its command changes with that.
+        """
+        if self._mortal:
+            return None
+        return self.engine.ahead(physics, command, self.timing.substeps, self.law, self.timing.hold)
+
     def _of_the_living(self, actions: dict[str, Array], alive: Array) -> dict[str, Array]:
         """The actions (act,) that are carried out where `alive` (agents,) bool."""
         if not self._mortal:
@@ -319,12 +329,14 @@ class Arena(ABC):
         laws = [(self.scene.agents[agent], robot.law) for agent, robot in self.robots.items() if robot.law]
         if not laws:
             return None
+        driven = np.concatenate([at.ctrl for at, _ in laws])
+        plain = np.setdiff1d(np.arange(self.scene.model.nu), driven)
+        place = np.argsort(np.concatenate([driven, plain]))
 
-        def law(qpos: Array, qvel: Array, command: Array) -> Array:
-            ctrl = command
-            for at, own in laws:
-                ctrl = ctrl.at[at.ctrl].set(own(qpos[at.joint_qpos], qvel[at.joint_qvel], command[at.ctrl]))
-            return ctrl
+        def law(qpos: Any, qvel: Any, command: Any) -> Any:
+            ctrl = [own(qpos[..., at.joint_qpos], qvel[..., at.joint_qvel], command[..., at.ctrl]) for at, own in laws]
+            arrays = command.__array_namespace__()  # jax.numpy, or numpy in the C engine
+            return arrays.concat([*ctrl, command[..., plain]], axis=-1)[..., place]
 
         return law
 

@@ -2,7 +2,7 @@
 
 | engine | where                       | how                                                          |
 |--------|-----------------------------|--------------------------------------------------------------|
-| `c`    | CPU, the default there      | `mujoco.batch.Batch` threads behind `jax.pure_callback`      |
+| `c`    | CPU, the default there      | `mujoco.batch.Batch` threads behind a callback               |
 | `jax`  | any XLA device              | MJX, `impl='jax'`                                            |
 | `warp` | NVIDIA GPU, default there   | MJX, `impl='warp'`                                           |
 | `none` | where nothing can move      | chosen by itself for arenas without bodies                   |

@@ -16,8 +16,9 @@ from jax import Array
 
 from arenas.errors import EngineError
 
-# law(qpos (nq,), qvel (nv,), command (nu,)) -> ctrl (nu,), applied before every substep; None is the identity.
-Law = Callable[[Array, Array, Array], Array]
+# law(qpos (nq,), qvel (nv,), command (nu,)) -> ctrl (nu,), applied before every substep; None is the identity. One that
+# also takes NumPy's arrays (worlds, nq), ... is applied by the C engine without a way through JAX.
+Law = Callable[[Any, Any, Any], Any]
 
 # Nothing that we simulate moves faster (m/s, rad/s): a world beyond it has blown up, long before MuJoCo's own 1e10.
 MAX_SPEED = 1e4
@@ -54,6 +55,21 @@ class Physics(NamedTuple):
     actuator_force: Array | None = None  # (nu,)
     qacc: Array | None = None  # (nv,)
     model: dict[str, Array] = {}  # noqa: RUF012  (this world's own model fields, of those in VARIABLE)
+
+
+class Moved(NamedTuple):
+    """What stepping changes of a world."""
+
+    qpos: Array  # (nq,)
+    qvel: Array  # (nv,)
+    ctrl: Array  # (nu,) as applied in the last substep
+    failed: Array  # () bool: numbers went bad or a buffer overflowed on the way
+    carry: Any  # the engine's own
+
+    def of(self, physics: Physics) -> Physics:
+        """The world that has moved so; its time stands still, its derived fields lag."""
+        unstable = physics.unstable | self.failed
+        return physics._replace(qpos=self.qpos, qvel=self.qvel, ctrl=self.ctrl, unstable=unstable, carry=self.carry)
 
 
 class Engine(ABC):
@@ -101,10 +117,23 @@ class Engine(ABC):
         own = self._fields(model or {})
         return self._derive(Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), jnp.zeros((), bool), carry, model=own))
 
-    def step(self, physics: Physics, command: Array, n_substeps: int, law: Law | None = None) -> Physics:
-        """Advance one world by `n_substeps` timesteps under `command` (nu,) through `law`."""
+    def ahead(self, physics: Physics, command: Array, n_substeps: int, law: Law | None, hold: int) -> Moved | None:
+        """The next `hold` control steps under one command, stacked, of an engine that makes them at once; else None."""
+        return None
+
+    def step(
+        self, physics: Physics, command: Array, n_substeps: int, law: Law | None = None, moved: Moved | None = None
+    ) -> Physics:
+        """Advance one world by a control step: `n_substeps` timesteps under `command` (nu,) through `law`.
+
+        `moved`: this control step of those that `ahead` made; nothing is asked of the engine then but derived fields.
+        """
         start = physics.time
-        if law is None:
+        if moved is None:
+            moved = jax.tree.map(lambda x: x[0], self.ahead(physics, command, n_substeps, law, 1))
+        if moved is not None:
+            physics = moved.of(physics)
+        elif law is None:
             physics = self._substeps(physics, command, n_substeps)
         else:
             for _ in range(n_substeps):

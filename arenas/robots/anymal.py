@@ -131,11 +131,14 @@ def anymal(fall_height: float = 0.17, fall_up: float = 0.3, decision: float = 0.
     )
 
 
-def torques(angles: Array, speeds: Array, targets: Array) -> Array:
-    """N·m of the twelve motors (12,) that draw the joints towards `targets` in rad, as far as speed lets them."""
-    most = jnp.clip(STALL * (1 - speeds / MAX_SPEED), 0, EFFORT)
-    least = jnp.clip(STALL * (-1 - speeds / MAX_SPEED), -EFFORT, 0)
-    return jnp.clip(KP * (targets - angles) - KD * speeds, least, most)
+def torques(angles: Any, speeds: Any, targets: Any) -> Any:
+    """N·m of the twelve motors (..., 12) that draw the joints towards `targets` in rad, as far as speed lets them.
+
+    For arrays of JAX or NumPy.
+    """
+    most = (STALL * (1 - speeds / MAX_SPEED)).clip(0, EFFORT)
+    least = (STALL * (-1 - speeds / MAX_SPEED)).clip(-EFFORT, 0)
+    return (KP * (targets - angles) - KD * speeds).clip(least, most)
 
 
 def _feel(body: Body) -> Array:

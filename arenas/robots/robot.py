@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +21,9 @@ MOTION = (  # what several robots feel first, in words
     Part("down", 3, "", "the way down, a unit vector in its own frame"),
 )
 Script = Callable[[Array, Array], Array]  # (observation (obs,), key) -> action (act,)
-# A robot's actuation law: (joint angles (joints,), joint speeds (joints,), command (actuators,)) -> ctrl (actuators,)
-JointLaw = Callable[[Array, Array, Array], Array]
+# A robot's actuation law: (joint angles (joints,), joint speeds (joints,), command (actuators,)) -> ctrl (actuators,).
+# One that also takes NumPy's arrays of many worlds (worlds, joints), ... is applied by the C engine without JAX.
+JointLaw = Callable[[Any, Any, Any], Any]
 
 
 class Body(NamedTuple):

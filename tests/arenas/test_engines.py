@@ -12,6 +12,7 @@ import pytest
 
 from arenas.engines import choose, make_engine
 from arenas.errors import EngineError
+from arenas.native import takes_many
 from arenas.physics import DERIVED, DYNAMICS, KINEMATICS, VARIABLE
 
 XML = """
@@ -124,18 +125,78 @@ def test_fields_that_nobody_asked_for_are_none(reference):
     assert reference.xpos.shape == (WORLDS, STEPS, 3, 3)
 
 
-def test_a_law_is_applied_before_every_substep():
+def many(qpos, qvel, command):
+    """The same law for one world or many at once, in JAX or NumPy."""
+    return command - 0.01 * qvel[..., 6:]
+
+
+def blind(qpos, qvel, command):
+    """A law that takes arrays of many worlds without complaint, and mixes them."""
+    return command - 0.01 * qvel.mean()
+
+
+@pytest.mark.parametrize("law", [friction, many])
+def test_a_law_is_applied_before_every_substep(law):
     c = engine("c")
     physics = jax.vmap(c.make)(*start(c.model))
     command = jnp.ones((WORLDS, 1))
-    at_once = jax.vmap(lambda p, u: c.step(p, u, 4, friction))(physics, command)
+    at_once = jax.vmap(lambda p, u: c.step(p, u, 4, law))(physics, command)
     one_by_one = held = physics
     for _ in range(4):
         one_by_one = jax.vmap(lambda p, u: c.step(p, u, 1, friction))(one_by_one, command)
         held = jax.vmap(lambda p, u: c.step(p, u, 1))(held, friction(None, physics.qvel.T, command.T).T)
-    np.testing.assert_array_equal(at_once.qvel, one_by_one.qvel)
+    for name in ("qpos", "qvel", "ctrl"):  # float32 between substeps, or float64 within
+        np.testing.assert_allclose(getattr(at_once, name), getattr(one_by_one, name), rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(at_once.time, 0.02, rtol=1e-6)
     assert np.abs(at_once.qvel - held.qvel).max() > 0.1  # as if the law had been asked once
+
+
+def test_only_a_law_that_tells_worlds_apart_is_applied_to_many_at_once():
+    model = engine("c").model
+    assert takes_many(many, model)
+    for other in (friction, blind, lambda qpos, qvel, command: jnp.sin(command)):
+        assert not takes_many(other, model)
+
+
+@pytest.mark.parametrize("law", [None, many])
+def test_control_steps_made_ahead_are_those_made_one_by_one(law):
+    c = engine("c", ("xpos",))
+    physics, command = jax.vmap(c.make)(*start(c.model)), jnp.ones((WORLDS, 1))
+    ahead = jax.jit(jax.vmap(lambda p, u: c.ahead(p, u, 4, law, 3)))(physics, command)
+    moved = jax.jit(jax.vmap(lambda p, u, m: c.step(p, u, 4, law, m)))
+    single = jax.jit(jax.vmap(lambda p, u: c.step(p, u, 4, law)))
+    one_by_one = physics
+    for i in range(3):
+        physics = moved(physics, command, jax.tree.map(lambda x: x[:, i], ahead))  # noqa: B023  (called at once)
+        one_by_one = single(one_by_one, command)
+        for name in ("qpos", "qvel", "ctrl", "time", "xpos"):
+            np.testing.assert_allclose(
+                getattr(physics, name), getattr(one_by_one, name), rtol=1e-5, atol=1e-6, err_msg=name
+            )
+    assert not physics.unstable.any()
+
+
+def test_where_xla_has_no_cpu_the_host_is_called_with_copies(monkeypatch):
+    c = engine("c")
+    physics = jax.vmap(c.make)(*start(c.model))
+
+    def step():
+        return jax.jit(jax.vmap(lambda p: c.step(p, jnp.ones(1), 4)))(physics)
+
+    in_place = step()
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    copied = step()
+    for name in ("qpos", "qvel", "ctrl", "unstable"):
+        np.testing.assert_array_equal(getattr(in_place, name), getattr(copied, name), err_msg=name)
+
+
+def test_what_blows_up_on_the_way_is_told_from_there_on():
+    c = engine("c")
+    physics = jax.vmap(c.make)(*start(c.model))
+    physics = physics._replace(qvel=physics.qvel.at[1, 0].set(jnp.nan))
+    ahead = jax.vmap(lambda p: c.ahead(p, jnp.ones(1), 4, None, 2))(physics)
+    assert ahead is not None
+    np.testing.assert_array_equal(ahead.failed, [[False, False], [True, True], [False, False]])
 
 
 def test_the_identity_is_no_law():
