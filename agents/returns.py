@@ -21,14 +21,12 @@ def advantages(
     it. So a time limit is bootstrapped with the value of its true last observation, and a real end is not. What a
     `void` decision led to is unknown: its own advantage is 0, and those before it bootstrap with V where it was taken.
     """
-    ended = terminated | truncated | void
-    advantage = torch.zeros_like(rewards[0])
-    out = torch.empty_like(rewards)
+    # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
+    delta = (rewards + gamma * next_values * ~terminated - values).where(~void, 0.0)
+    carried = gamma * lam * ~(terminated | truncated | void)
+    advantage, out = torch.zeros_like(rewards[0]), torch.empty_like(delta)
     for t in reversed(range(len(rewards))):
-        # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
-        delta = rewards[t] + gamma * next_values[t] * ~terminated[t] - values[t]
-        advantage = torch.where(void[t], 0.0, delta + gamma * lam * advantage * ~ended[t])
-        out[t] = advantage
+        advantage = torch.addcmul(delta[t], carried[t], advantage, out=out[t])
     return out
 
 
@@ -53,11 +51,12 @@ class ValueNorm(nn.Module):
         self.register_buffer("weight", torch.zeros(()))
 
     @torch.no_grad()
-    def update(self, returns: Tensor) -> None:
-        """Take a batch of returns into account."""
-        self.mean_sum.mul_(self.beta).add_((1 - self.beta) * returns.mean())
-        self.square_sum.mul_(self.beta).add_((1 - self.beta) * (returns**2).mean())
-        self.weight.mul_(self.beta).add_(1 - self.beta)
+    def update(self, returns: Tensor, part: Tensor, seen: Tensor) -> None:
+        """Take returns (B,) into account, each with its part (B,) in their mean, if any were `seen` () bool."""
+        weight = (1 - self.beta) * seen
+        self.mean_sum.lerp_((returns * part).sum(), weight)  # β · sum + (1 − β) · mean
+        self.square_sum.lerp_((returns**2 * part).sum(), weight)
+        self.weight.lerp_(torch.ones_like(weight), weight)
 
     def statistics(self) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation (), in units of reward; 0 and 1 before the first update."""

@@ -105,6 +105,8 @@ class HappoConfig:
     """Normalise observations by their running mean and deviation; the statistics are part of the policy."""
     fixed_order: bool = False
     """Update the agents in the team's order instead of a fresh random one each time (HARL-A: true)."""
+    graphs: bool = True
+    """On a GPU, replay the update as CUDA graphs (off: launch every kernel by itself, the reference)."""
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""

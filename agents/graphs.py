@@ -1,0 +1,153 @@
+"""CUDA graphs: what an update repeats is recorded once for each shape of batch, and then launched as a whole.
+
+An update is some thousand kernels of a few microseconds each; launching them one by one takes longer than they do. What
+is recorded is the very function that runs everywhere else: without graphs `run(function, *args)` is `function(*args)`.
+
+A function that may be recorded
+
+- reads no number back from the device, and makes no decision that hangs on one;
+- gets its tensors as arguments, or finds them where they always are (weights, moments, normalisers, figures), and
+  changes those only in place;
+- is a method of what lives as long as the graph, or a plain function: it is known by what it is.
+
+What `run` gives is overwritten when the same function runs next. Handed on to another function it is used where it
+lies; all other arguments are copied to where the graph expects them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeVar, TypeVarTuple
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
+
+KEPT = 4  # shapes of batches; the one that was not used for longest goes first
+
+
+class Run(Protocol):
+    """What runs functions of tensors, or of lists and tuples of them."""
+
+    def __call__(self, function: Callable[[*Ts], T], /, *args: *Ts) -> T:
+        """What the function gives."""
+        ...
+
+
+def plainly(function: Callable[[*Ts], T], /, *args: *Ts) -> T:
+    """Every kernel launched by itself: the reference."""
+    return function(*args)
+
+
+class Graphs:
+    """The graphs of one learner, by the shape of the batch; none where they are off or there is no GPU."""
+
+    def __init__(self, device: torch.device, on: bool):
+        self.on = on and device.type == "cuda"
+        self._stream: torch.cuda.Stream | None = None
+        self._by_shape: dict[Sequence[int], Replays] = {}
+
+    def of(self, shape: Sequence[int]) -> Run:
+        """What runs functions of a batch of this shape (T, N)."""
+        if not self.on:
+            return plainly
+        self._stream = self._stream or side_stream()
+        replays = self._by_shape.pop(tuple(shape), None) or Replays(self._stream)
+        self._by_shape[tuple(shape)] = replays
+        while len(self._by_shape) > KEPT:
+            del self._by_shape[next(iter(self._by_shape))]
+        return replays
+
+
+class Replays:
+    """Runs each function for real the first time, records it the second time, and replays it from then on.
+
+    All graphs of a shape share their memory: nothing of it outlives a replay, since arguments and results lie outside.
+    """
+
+    def __init__(self, stream: "torch.cuda.Stream | None"):
+        self._stream, self._pool = stream, None
+        self._known: dict[Callable, _Recorded] = {}
+        self._given: dict[int, Tensor] = {}  # by id: what functions gave, where it always lies
+
+    def __call__(self, function: Callable[[*Ts], T], /, *args: *Ts) -> T:
+        """What the function gives, in tensors that its next run overwrites."""
+        known = self._known.get(function)
+        if known is None:
+            known = self._known[function] = _Recorded(aside(function, args, self._stream))
+            self._given |= {id(x): x for x in known.results}
+            return known.result
+        if known.replay is None:
+            self._pool = self._pool or new_pool()
+            known.record(function, args, self._given, self._pool, self._stream)
+        known.take(function, args)
+        known.replay()
+        return known.result
+
+
+class _Recorded:
+    """A function's graph, the tensors that it reads and those that it writes."""
+
+    def __init__(self, result: Any):
+        self.result = pytree.tree_map_only(Tensor, lambda x: x.detach().clone(), result)
+        self.results = _tensors(self.result)
+        self.inputs: list[Tensor] = []
+        self.owned: list[bool] = []  # whether an input is a copy of its own
+        self.replay: Callable[[], None] | None = None
+
+    def record(self, function: Callable, args: Sequence[Any], given: dict[int, Tensor], pool: Any, stream: Any) -> None:
+        leaves, tree = pytree.tree_flatten(tuple(args))
+        self.owned = [id(x) not in given for x in leaves]
+        self.inputs = [x.detach().clone() if own else x for x, own in zip(leaves, self.owned, strict=True)]
+
+        def recorded() -> None:
+            found = _tensors(function(*pytree.tree_unflatten(self.inputs, tree)))
+            for mine, new in zip(self.results, found, strict=True):
+                mine.copy_(new)
+
+        self.replay = record(recorded, pool, stream)
+
+    def take(self, function: Callable, args: Sequence[Any]) -> None:
+        """Copy the arguments to where the graph reads them, unless they lie there."""
+        for mine, new, own in zip(self.inputs, _tensors(args), self.owned, strict=True):
+            if mine is not new and not own:
+                raise RuntimeError(f"{function} was recorded with the result of another run, and got something else")
+            if mine is not new:
+                mine.copy_(new)
+
+
+def _tensors(tree: Any) -> list[Tensor]:
+    return [x for x in pytree.tree_leaves(tree) if isinstance(x, Tensor)]
+
+
+# What needs a GPU ----------------------------------------------------------------------------------------------------
+
+
+def side_stream() -> torch.cuda.Stream:
+    """A stream to record on: CUDA records no default stream."""
+    return torch.cuda.Stream()
+
+
+def new_pool() -> Any:
+    """Memory of its own for graphs."""
+    return torch.cuda.graph_pool_handle()
+
+
+def aside(function: Callable[[*Ts], T], args: tuple[*Ts], stream: torch.cuda.Stream) -> T:
+    """Run a function on the stream on which it will be recorded, where libraries then set themselves up; in order."""
+    now = torch.cuda.current_stream()
+    stream.wait_stream(now)
+    with torch.cuda.stream(stream):
+        result = function(*args)
+    now.wait_stream(stream)
+    return result
+
+
+def record(function: Callable[[], None], pool: Any, stream: torch.cuda.Stream) -> Callable[[], None]:
+    """The kernels that a function launches as a graph; they do not run yet. Gives what launches them all."""
+    graph = torch.cuda.CUDAGraph()
+    # Other threads are JAX's, whose allocations must not break the recording.
+    with torch.cuda.graph(graph, pool=pool, stream=stream, capture_error_mode="thread_local"):
+        function()
+    return graph.replay
