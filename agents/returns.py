@@ -23,7 +23,7 @@ def advantages(
     """
     # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
     delta = (rewards + gamma * next_values * ~terminated - values).where(~void, 0.0)
-    carried = gamma * lam * ~(terminated | truncated | void)
+    carried = torch.full_like(delta, gamma * lam).where(~(terminated | truncated | void), 0.0)
     advantage, out = torch.zeros_like(rewards[0]), torch.empty_like(delta)
     for t in reversed(range(len(rewards))):
         advantage = torch.addcmul(delta[t], carried[t], advantage, out=out[t])
