@@ -32,7 +32,7 @@ class ActorLearner:
         rows = [
             (
                 *(x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)),
-                (M * A_hat[i]).where(batch.alive[i].flatten(), 0.0),
+                (M * A_hat[i]).masked_fill(~batch.alive[i].flatten(), 0.0),
                 batch.alive[i].flatten(),
             )
             for i in self.agents
@@ -47,7 +47,7 @@ class ActorLearner:
     @torch.no_grad()
     def ratios(self, share: Share, before: Tensor) -> Tensor:
         """(T·N,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
-        ratio = torch.exp(self.log_probs(share) - before).where(share.valid, 1.0)
+        ratio = torch.exp(self.log_probs(share) - before).masked_fill(~share.valid, 1.0)
         return torch.stack(ratio.chunk(len(self.agents))).prod(0)
 
     def update(self, share: Share, decay: float, dice: torch.Generator, run: Run) -> None:
@@ -89,7 +89,7 @@ def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -
     `part` (B,) is what each row is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says there.
     """
     policy = network(share.observations)
-    log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).where(share.valid, 0.0)
+    log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).masked_fill(~share.valid, 0.0)
     ratio = torch.exp(log_ratio)
     surrogate = torch.min(ratio * share.MA, ratio.clamp(1 - c.clip, 1 + c.clip) * share.MA)
     entropy = (policy.entropy().sum(-1) * part).sum()

@@ -56,8 +56,11 @@ def clean(batch: Batch) -> Batch:
     """
     valid = ~batch.void
 
-    def held(values: Sequence[Tensor], alive: Sequence[Tensor]) -> list[Tensor]:
-        return [x.where(a[..., None] if x.dim() > a.dim() else a, 0.0) for x, a in zip(values, alive, strict=True)]
+    def held(values: Sequence[Tensor], there: Sequence[Tensor]) -> list[Tensor]:
+        return [
+            x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0)
+            for x, a in zip(values, there, strict=True)
+        ]
 
     there, there_next, others, others_next = (
         [a & valid for a in alive]
@@ -70,7 +73,7 @@ def clean(batch: Batch) -> Batch:
         held(batch.log_probs, there),
         there,
         there_next,
-        batch.rewards.where(valid, 0.0),
+        batch.rewards.masked_fill(batch.void, 0.0),
         batch.terminated,
         batch.truncated,
         batch.void,

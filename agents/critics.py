@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
 from agents.batch import Batch, Critique, views
 from agents.graphs import Run
@@ -80,10 +81,5 @@ def value_loss(network: Critic, seen: Tensor, old: Tensor, target: Tensor, part:
     """
     value = network(seen)
     clipped = old + (value - old).clamp(-c.clip, c.clip)
-    losses = torch.max(_huber(target - value, c.huber_delta), _huber(target - clipped, c.huber_delta))
-    return (losses * part).sum()
-
-
-def _huber(error: Tensor, delta: float) -> Tensor:
-    """e²/2 inside δ, δ(|e| − δ/2) outside."""
-    return nn.functional.huber_loss(error, torch.zeros_like(error), reduction="none", delta=delta)
+    losses = (huber_loss(v, target, reduction="none", delta=c.huber_delta) for v in (value, clipped))
+    return (torch.max(*losses) * part).sum()

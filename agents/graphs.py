@@ -5,7 +5,8 @@ is recorded is the very function that runs everywhere else: without graphs `run(
 
 A function that may be recorded
 
-- reads no number back from the device, and makes no decision that hangs on one;
+- reads no number back from the device, and makes no decision that hangs on one; nor does it send it any, as
+  `torch.where` does with a number (`masked_fill` tells the kernel);
 - gets its tensors as arguments, or finds them where they always are (weights, moments, normalisers, figures), and
   changes those only in place;
 - is a method of what lives as long as the graph, or a plain function: it is known by what it is.

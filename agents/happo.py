@@ -176,7 +176,7 @@ class Learner:
         seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
         trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
         for trunk, (obs, valid), count in zip(trunks, seen, self.observation_counts, strict=True):
-            part, any_valid = parts(valid)
+            part, _ = parts(valid)
             n, part = valid.sum(), part[:, None]
             weight = n / (count + n).clamp(min=1)
             mean = (obs * part).sum(0)
@@ -184,8 +184,7 @@ class Learner:
             var = trunk.observation_var
             var += weight * (((obs - mean) ** 2 * part).sum(0) - var) + weight * (1 - weight) * gap**2
             trunk.observation_mean += weight * gap
-            # From now on there is something to normalise by.
-            trunk.observation_clip.copy_(torch.where(any_valid, OBSERVATION_CLIP, trunk.observation_clip))
+            trunk.observation_clip.masked_fill_(n > 0, OBSERVATION_CLIP)  # now there is something to normalise by
             count += n
 
     # Whether all is finite -------------------------------------------------------------------------------------------

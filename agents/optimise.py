@@ -46,12 +46,12 @@ def moments(name: str, module: nn.Module, optimizer: torch.optim.Adam | None) ->
 
 
 def step(optimizer: Adam, module: nn.Module, loss: Tensor, max_grad_norm: float, taught: Tensor) -> Tensor:
-    """One step of Adam, if `taught` () bool; returns the norm that the gradient had before it was scaled down."""
+    """One step of Adam, if `taught` () is 1 and not 0; returns the norm of the gradient before it was scaled down."""
     parameters = list(module.parameters())
     for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
         parameter.grad = gradient
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
-    optimizer.found_inf = (~taught).float()
+    optimizer.found_inf = 1 - taught
     optimizer.step()
     return norm
 
@@ -68,12 +68,12 @@ def minibatches(rows: Sequence[Tensor], order: Tensor, count: int) -> Iterator[t
 
 
 def parts(valid: Tensor) -> tuple[Tensor, Tensor]:
-    """What each row (B,) is worth in a mean over the valid ones, so that Σ x · part is it, and () whether there are any.
+    """What each row (B,) is worth in a mean over the valid ones, so that Σ x · part is it; () 1, or 0 if there are none.
 
-    Without any, all parts are 0.
+    Then all parts are 0.
     """
     count = valid.sum()
-    return valid / count.clamp(min=1), count > 0
+    return valid / count.clamp(min=1), (count > 0).float()
 
 
 class Tally:
@@ -82,10 +82,10 @@ class Tally:
     def __init__(self, names: Sequence[str], device: torch.device):
         self.names, self.sums = tuple(names), torch.zeros(len(names) + 1, device=device)  # the last one counts
 
-    def note(self, told: bool | Tensor, **values: Tensor) -> None:
-        """Add one of each figure, if `told`; else they must be finite."""
+    def note(self, told: Tensor, **values: Tensor) -> None:
+        """Add one of each figure (), if `told` () is 1 and not 0; then they must be finite all the same."""
         each = [values[name].detach().float() for name in self.names]
-        self.sums += torch.stack([*each, torch.ones_like(each[0])]) * told
+        self.sums.addcmul_(torch.stack([*each, told]), told)
 
     def mean(self, name: str, since: Tensor) -> Tensor:
         """() The mean of what was told of a figure since the sums were these; 0 if nothing was."""

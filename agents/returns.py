@@ -22,8 +22,8 @@ def advantages(
     `void` decision led to is unknown: its own advantage is 0, and those before it bootstrap with V where it was taken.
     """
     # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
-    delta = (rewards + gamma * next_values * ~terminated - values).where(~void, 0.0)
-    carried = torch.full_like(delta, gamma * lam).where(~(terminated | truncated | void), 0.0)
+    delta = (rewards + gamma * next_values * ~terminated - values).masked_fill(void, 0.0)
+    carried = torch.full_like(delta, gamma * lam).masked_fill(terminated | truncated | void, 0.0)
     advantage, out = torch.zeros_like(rewards[0]), torch.empty_like(delta)
     for t in reversed(range(len(rewards))):
         advantage = torch.addcmul(delta[t], carried[t], advantage, out=out[t])
@@ -52,7 +52,7 @@ class ValueNorm(nn.Module):
 
     @torch.no_grad()
     def update(self, returns: Tensor, part: Tensor, seen: Tensor) -> None:
-        """Take returns (B,) into account, each with its part (B,) in their mean, if any were `seen` () bool."""
+        """Take returns (B,) into account, each with its part (B,) in their mean, if any were `seen`: () 1 or 0."""
         weight = (1 - self.beta) * seen
         self.mean_sum.lerp_((returns * part).sum(), weight)  # β · sum + (1 − β) · mean
         self.square_sum.lerp_((returns**2 * part).sum(), weight)
@@ -63,7 +63,7 @@ class ValueNorm(nn.Module):
         weight = self.weight.clamp(min=1e-12)  # asking whether it is 0 would make the GPU wait
         mean = self.mean_sum / weight
         std = torch.sqrt((self.square_sum / weight - mean**2).clamp(min=0.01))
-        return mean, torch.where(self.weight > 0, std, 1.0)
+        return mean, std.masked_fill(self.weight == 0, 1.0)
 
     def normalise(self, returns: Tensor) -> Tensor:
         """Returns in the critic's units."""

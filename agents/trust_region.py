@@ -72,7 +72,7 @@ class TrustRegionLearner(ActorLearner):
     def _ratio(self, share: Share) -> Tensor:
         """(B,) Of the densities now and of the policy that acted."""
         log_ratio = self.network(share.observations).log_prob(share.actions).sum(-1) - share.log_probs
-        return torch.exp(log_ratio.where(share.valid, 0.0))
+        return torch.exp(log_ratio.masked_fill(~share.valid, 0.0))
 
 
 def conjugate_gradient(product: Callable[[Tensor], Tensor], b: Tensor, iterations: int) -> Tensor:

@@ -1,7 +1,7 @@
 """Replaying an update is updating: on a GPU by CUDA graphs, and here by a recorder that promises as little as they do.
 
 The recorder writes down every kernel with the very tensors that it reads and writes, and the numbers that it was given;
-a replay launches them again. What reads a number back is refused, as CUDA refuses it.
+a replay launches them again. What reads a number back, or copies one to the device, is refused, as CUDA refuses it.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch.overrides import TorchFunctionMode
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -77,9 +78,19 @@ def _by_mask(args: tuple) -> bool:
     return any(isinstance(x, torch.Tensor) and x.dtype == torch.bool for x in pytree.tree_leaves(args[1:2]))
 
 
+class NoNumbers(TorchFunctionMode):
+    """Refuses what would copy numbers of the host to the device."""
+
+    def __torch_function__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
+        made = func in (torch.tensor, torch.as_tensor, torch.from_numpy)
+        if made or (func in (torch.where, torch.Tensor.where) and any(isinstance(x, (int, float)) for x in args)):
+            raise RuntimeError(f"{func.__name__} waits for the device")
+        return func(*args, **(kwargs or {}))
+
+
 def record(function: Callable[[], None], pool: object, stream: object) -> Callable[[], None]:
     recorder = Recorder()
-    with recorder:
+    with recorder, NoNumbers():
         function()
     return recorder.replay
 
