@@ -15,7 +15,8 @@ What `run` gives is overwritten when the same function runs next. Handed on to a
 lies; all other arguments are copied to where the graph expects them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 import torch
@@ -35,10 +36,28 @@ class Run(Protocol):
         """What the function gives."""
         ...
 
+    def beside(self) -> "AbstractContextManager[Run]":
+        """Run what happens within at the same time as what follows it, which must not need it before `meet`."""
+        ...
 
-def plainly(function: Callable[[*Ts], T], /, *args: *Ts) -> T:
-    """Every kernel launched by itself: the reference."""
-    return function(*args)
+    def meet(self) -> None:
+        """Let what follows wait for what was run beside."""
+        ...
+
+
+class Plainly:
+    """Every kernel launched by itself, one after the other: the reference."""
+
+    def __call__(self, function: Callable[[*Ts], T], /, *args: *Ts) -> T:
+        """What the function gives."""
+        return function(*args)
+
+    def beside(self) -> AbstractContextManager[Run]:
+        """At once, and before what follows."""
+        return nullcontext(self)
+
+    def meet(self) -> None:
+        """Nothing runs beside."""
 
 
 class Graphs:
@@ -46,15 +65,15 @@ class Graphs:
 
     def __init__(self, device: torch.device, on: bool):
         self.on = on and device.type == "cuda"
-        self._stream: torch.cuda.Stream | None = None
+        self._lanes: tuple[Any, ...] = ()
         self._by_shape: dict[Sequence[int], Replays] = {}
 
     def of(self, shape: Sequence[int]) -> Run:
         """What runs functions of a batch of this shape (T, N)."""
         if not self.on:
-            return plainly
-        self._stream = self._stream or side_stream()
-        replays = self._by_shape.pop(tuple(shape), None) or Replays(self._stream)
+            return Plainly()
+        self._lanes = self._lanes or tuple(new_stream() for _ in range(3))
+        replays = self._by_shape.pop(tuple(shape), None) or Replays(*self._lanes)
         self._by_shape[tuple(shape)] = replays
         while len(self._by_shape) > KEPT:
             del self._by_shape[next(iter(self._by_shape))]
@@ -65,18 +84,25 @@ class Replays:
     """Runs each function for real the first time, records it the second time, and replays it from then on.
 
     All graphs of a shape share their memory: nothing of it outlives a replay, since arguments and results lie outside.
+    What runs beside has memory of its own. It records on `stream`.
     """
 
-    def __init__(self, stream: "torch.cuda.Stream | None"):
+    def __init__(self, stream: Any, beside: Any = None, stream_beside: Any = None):
         self._stream, self._pool = stream, None
         self._known: dict[Callable, _Recorded] = {}
         self._given: dict[int, Tensor] = {}  # by id: what functions gave, where it always lies
+        if beside is not None:
+            self._beside, self._other = beside, Replays(stream_beside)
+            self._other._given = self._given
 
     def __call__(self, function: Callable[[*Ts], T], /, *args: *Ts) -> T:
         """What the function gives, in tensors that its next run overwrites."""
         known = self._known.get(function)
         if known is None:
-            known = self._known[function] = _Recorded(aside(function, args, self._stream))
+            with on(self._stream):  # where it will be recorded, so that libraries set themselves up for it
+                result = function(*args)
+            wait_for(self._stream)
+            known = self._known[function] = _Recorded(result)
             self._given |= {id(x): x for x in known.results}
             return known.result
         if known.replay is None:
@@ -85,6 +111,16 @@ class Replays:
         known.take(function, args)
         known.replay()
         return known.result
+
+    @contextmanager
+    def beside(self) -> Iterator[Run]:
+        """On another stream, after all that was run before."""
+        with on(self._beside):
+            yield self._other
+
+    def meet(self) -> None:
+        """Let what follows wait for that stream."""
+        wait_for(self._beside)
 
 
 class _Recorded:
@@ -125,8 +161,8 @@ def _tensors(tree: Any) -> list[Tensor]:
 # What needs a GPU ----------------------------------------------------------------------------------------------------
 
 
-def side_stream() -> torch.cuda.Stream:
-    """A stream to record on: CUDA records no default stream."""
+def new_stream() -> Any:
+    """A stream to record on, for CUDA records no default stream; or to run on beside others."""
     return torch.cuda.Stream()
 
 
@@ -135,14 +171,17 @@ def new_pool() -> Any:
     return torch.cuda.graph_pool_handle()
 
 
-def aside(function: Callable[[*Ts], T], args: tuple[*Ts], stream: torch.cuda.Stream) -> T:
-    """Run a function on the stream on which it will be recorded, where libraries then set themselves up; in order."""
-    now = torch.cuda.current_stream()
-    stream.wait_stream(now)
+@contextmanager
+def on(stream: torch.cuda.Stream) -> Iterator[None]:
+    """On a stream, after all that was launched so far."""
+    stream.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(stream):
-        result = function(*args)
-    now.wait_stream(stream)
-    return result
+        yield
+
+
+def wait_for(stream: torch.cuda.Stream) -> None:
+    """Let what is launched from now on wait for all that a stream has."""
+    torch.cuda.current_stream().wait_stream(stream)
 
 
 def record(function: Callable[[], None], pool: Any, stream: torch.cuda.Stream) -> Callable[[], None]:

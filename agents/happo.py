@@ -88,9 +88,13 @@ class Learner:
             return {}
         critiques = [run(critic.criticise, batch) for critic in self.critic_learners]
         A_hat = run(self._standardised, critiques, batch.alive)
+        decay = self._decay()
+        with run.beside() as beside:  # critics and actors do not know of each other from here on
+            for critic, critique in zip(self.critic_learners, critiques, strict=True):
+                critic.update(critique, decay, self.dice, beside)
 
         M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, (T·N,)
-        decay, shares = self._decay(), {}
+        shares: dict[int, Share] = {}
         for k in self._order():
             actor = self.actor_learners[k]
             share = shares[k] = run(actor.share, batch, M, A_hat)
@@ -100,8 +104,7 @@ class Learner:
                 M *= run(actor.ratios, share, before)
             else:
                 actor.update(share, decay, self.dice, run)
-        for critic, critique in zip(self.critic_learners, critiques, strict=True):
-            critic.update(critique, decay, self.dice, run)
+        run.meet()
         if self.config.normalise_observations:
             run(self._observe, [shares[k] for k in range(len(shares))], critiques)
         return self._read(self._pace(batch, decay))

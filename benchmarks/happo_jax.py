@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from jax import Array
 
-from agents.batch import Batch, Share
-from agents.happo import Learner
+from agents.batch import Batch
+from agents.happo import Learner, draw_seed
+from agents.optimise import orders
 from agents.settings import VARIANCE_FLOOR, HappoConfig
 
 Params = dict[str, Array]
@@ -33,6 +34,15 @@ class Network(NamedTuple):
     first: Params  # moments
     second: Params
     steps: Array  # ()
+
+
+class Share(NamedTuple):
+    """What an actor learns from, as `agents.batch.Share`, where every decision counts."""
+
+    observations: Array  # (B, obs)
+    actions: Array  # (B, act)
+    log_probs: Array  # (B,) of the policy that acted
+    MA: Array  # (B,) M·Â
 
 
 class Team(NamedTuple):
@@ -77,14 +87,14 @@ def batch_of(batch: Batch) -> Batch:
 
 def permutations_of(learner: Learner, size: int) -> Array:
     """(agents + 1, epochs, B) The permutations that the learner's next update will draw: each actor's, the critic's."""
-    dice = torch.Generator()
-    dice.set_state(learner.rng.get_state())
-    drawn = [
-        torch.randperm(size, generator=dice).numpy()
+    rng, dice = torch.Generator(), torch.Generator(learner.device)
+    rng.set_state(learner.rng.get_state())
+    dice.manual_seed(draw_seed(rng))
+    critic, *actors = (
+        np.stack([order.cpu().numpy() for order in orders(size, learner.config.epochs, dice)])
         for _ in range(len(learner.actors) + 1)
-        for _ in range(learner.config.epochs)
-    ]
-    return jnp.asarray(np.reshape(drawn, (len(learner.actors) + 1, learner.config.epochs, size)))
+    )
+    return jnp.asarray(np.stack([*actors, critic]))
 
 
 def gap(one: Team, other: Team) -> float:

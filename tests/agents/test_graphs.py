@@ -5,6 +5,7 @@ a replay launches them again. What reads a number back, or copies one to the dev
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -99,9 +100,10 @@ def record(function: Callable[[], None], pool: object, stream: object) -> Callab
 def device(request, monkeypatch) -> Iterator[str]:
     """Where learners replay: on a GPU by graphs, else by the recorder."""
     if request.param == "recorder":
-        monkeypatch.setattr(graphs, "side_stream", lambda: "no stream")
+        monkeypatch.setattr(graphs, "new_stream", lambda: "no stream")
         monkeypatch.setattr(graphs, "new_pool", lambda: "no pool")
-        monkeypatch.setattr(graphs, "aside", lambda function, args, stream: function(*args))
+        monkeypatch.setattr(graphs, "on", nullcontext)
+        monkeypatch.setattr(graphs, "wait_for", lambda stream: None)
         monkeypatch.setattr(graphs, "record", record)
     return "cuda" if request.param == "cuda" else "cpu"
 
@@ -146,7 +148,8 @@ def test_a_replayed_update_is_an_update(variant, device, experience):
         told, expected = update(replaying, batch), update(plain, batch)
         assert told == pytest.approx(expected, rel=1e-5, abs=1e-6)
         assert_equal(replaying, plain)
-    recorded = [known for each in replaying.graphs._by_shape.values() for known in each._known.values()]
+    lanes = [lane for each in replaying.graphs._by_shape.values() for lane in (each, each._other)]
+    recorded = [known for lane in lanes for known in lane._known.values()]
     assert sum(known.replay is not None for known in recorded) >= 10
     assert any(not np.array_equal(x, kept[name]) for name, x in replaying.state().items() if name.startswith("actor"))
     assert not plain.graphs._by_shape
@@ -214,5 +217,5 @@ def test_what_asks_the_device_cannot_be_recorded(device):
 
 
 def test_graphs_are_for_a_gpu():
-    assert Learner([4], [2], BASE, 0).graphs.of((8, 6)) is graphs.plainly
-    assert graphs.Graphs(torch.device("cuda"), on=False).of((8, 6)) is graphs.plainly
+    assert isinstance(Learner([4], [2], BASE, 0).graphs.of((8, 6)), graphs.Plainly)
+    assert isinstance(graphs.Graphs(torch.device("cuda"), on=False).of((8, 6)), graphs.Plainly)

@@ -51,6 +51,15 @@ class Plain:
             R, said, team = A + V[valid], said[valid], team[valid]
             somebody = torch.stack(list(batch.alive)).any(0)[valid]
             A_hat = (A - A[somebody].mean()) / (A[somebody].std(correction=0) + 1e-5)
+        for k in self.splits(valid.flatten()):
+            self.see(R[k])
+            target, value = self.norm.normalise(R[k]), self.critic(team[k])
+            held = said[k] + (value - said[k]).clamp(-c.clip, c.clip)
+            losses = [
+                nn.functional.huber_loss(v, torch.zeros_like(v), reduction="none", delta=c.huber_delta)
+                for v in (target - value, target - held)
+            ]
+            self.step(self.critic, self.critic_adam, torch.max(*losses).mean())
         M, n = torch.ones_like(A), len(self.actors)
         for i in range(n) if c.fixed_order else torch.randperm(n, generator=self.rng).tolist():
             rows, own, actor = batch.alive[i][valid], batch.alive[i] & valid, self.actors[i]
@@ -67,15 +76,6 @@ class Plain:
                 self.step(actor, self.adams[i], -gain - c.entropy * policy.entropy().sum(-1).mean())
             with torch.no_grad():
                 M[rows] *= torch.exp(actor(obs).log_prob(acts).sum(-1) - before)
-        for k in self.splits(valid.flatten()):
-            self.see(R[k])
-            target, value = self.norm.normalise(R[k]), self.critic(team[k])
-            held = said[k] + (value - said[k]).clamp(-c.clip, c.clip)
-            losses = [
-                nn.functional.huber_loss(v, torch.zeros_like(v), reduction="none", delta=c.huber_delta)
-                for v in (target - value, target - held)
-            ]
-            self.step(self.critic, self.critic_adam, torch.max(*losses).mean())
 
     def splits(self, counts: Tensor) -> list[Tensor]:
         """Minibatches of all B rows, of which those that count are kept, as numbers among these."""
