@@ -58,8 +58,7 @@ def clean(batch: Batch) -> Batch:
 
     def held(values: Sequence[Tensor], there: Sequence[Tensor]) -> list[Tensor]:
         return [
-            x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0)
-            for x, a in zip(values, there, strict=True)
+            x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0) for x, a in zip(values, there, strict=True)
         ]
 
     there, there_next, others, others_next = (
@@ -85,7 +84,7 @@ def clean(batch: Batch) -> Batch:
 
 
 def views(batch: Batch, agents: Sequence[int], everybody: bool) -> tuple[Tensor, Tensor]:
-    """What a critic of these agents sees before and after each decision of a clean batch, (T, N, all their observations).
+    """What a critic of these agents sees before and after each decision of a clean batch, (T, N, all that it sees).
 
     It sees zeros for who is out of the game. `everybody`: the other teams' agents come after its own.
     """

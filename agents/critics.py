@@ -47,9 +47,9 @@ class CriticLearner:
 
     def learn(self, critique: Critique, order: Tensor) -> None:
         """One pass over the rows in this order."""
-        c, (seen, predictions, _, _, returns, valid) = self.config, critique
-        for seen, old, R, there in minibatches((seen, predictions, returns, valid), order, c.minibatches):
-            part, taught = parts(there)
+        c, rows = self.config, (critique.seen, critique.predictions, critique.returns, critique.valid)
+        for seen, old, R, valid in minibatches(rows, order, c.minibatches):
+            part, taught = parts(valid)
             if c.value_norm:
                 self.value_norm.update(R, part, taught)
             loss = value_loss(self.network, seen, old, self._normalise(R), part, c)

@@ -108,8 +108,7 @@ class Replays:
         if known.replay is None:
             self._pool = self._pool or new_pool()
             known.record(function, args, self._given, self._pool, self._stream)
-        known.take(function, args)
-        known.replay()
+        known.launch(function, args)
         return known.result
 
     @contextmanager
@@ -145,13 +144,15 @@ class _Recorded:
 
         self.replay = record(recorded, pool, stream)
 
-    def take(self, function: Callable, args: Sequence[Any]) -> None:
-        """Copy the arguments to where the graph reads them, unless they lie there."""
+    def launch(self, function: Callable, args: Sequence[Any]) -> None:
+        """Copy the arguments to where the graph reads them, unless they lie there, and replay it."""
         for mine, new, own in zip(self.inputs, _tensors(args), self.owned, strict=True):
             if mine is not new and not own:
                 raise RuntimeError(f"{function} was recorded with the result of another run, and got something else")
             if mine is not new:
                 mine.copy_(new)
+        assert self.replay is not None
+        self.replay()
 
 
 def _tensors(tree: Any) -> list[Tensor]:

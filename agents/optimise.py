@@ -68,16 +68,16 @@ def minibatches(rows: Sequence[Tensor], order: Tensor, count: int) -> Iterator[t
 
 
 def parts(valid: Tensor) -> tuple[Tensor, Tensor]:
-    """What each row (B,) is worth in a mean over the valid ones, so that Σ x · part is it; () 1, or 0 if there are none.
+    """What each row (B,) is worth in a mean over the valid ones, which is Σ x · part; () 1, or 0 if there are none.
 
-    Then all parts are 0.
+    Then all parts are 0, and so is the mean.
     """
     count = valid.sum()
     return valid / count.clamp(min=1), (count > 0).float()
 
 
 class Tally:
-    """Figures that minibatches tell, summed up on the device: reading each one would make a GPU wait a hundred times."""
+    """Figures that minibatches tell, summed up on the device: to read each one a GPU would wait a hundred times."""
 
     def __init__(self, names: Sequence[str], device: torch.device):
         self.names, self.sums = tuple(names), torch.zeros(len(names) + 1, device=device)  # the last one counts

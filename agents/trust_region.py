@@ -9,8 +9,8 @@ from torch.distributions import Normal, kl_divergence
 
 from agents.actors import FIGURES, ActorLearner
 from agents.batch import Share
-from agents.networks import Actor
 from agents.graphs import Run
+from agents.networks import Actor
 from agents.optimise import Tally, parts
 from agents.settings import HappoConfig
 
@@ -27,8 +27,8 @@ class TrustRegionLearner(ActorLearner):
         """Step by √(2δ / s·Hs) · s, s = H⁻¹ ∇L, shortened until it brings what it promised and KL stays below δ.
 
         L is the mean of ratio · M·Â, H the Hessian of KL(π_before ‖ π) with its damping. Where no try is good enough
-        the policy stays as it is. How often it tries hangs on numbers, so no graph replays it: `decay`, `dice` and `run`
-        are for other learners.
+        the policy stays as it is. How often it tries hangs on numbers that it reads, so no graph replays it: `decay`,
+        `dice` and `run` are for other learners.
         """
         part, taught = parts(share.valid)
         if not taught:

@@ -4,7 +4,7 @@ The recorder writes down every kernel with the very tensors that it reads and wr
 a replay launches them again. What reads a number back, or copies one to the device, is refused, as CUDA refuses it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
@@ -97,7 +97,7 @@ def record(function: Callable[[], None], pool: object, stream: object) -> Callab
 
 
 @pytest.fixture(params=["recorder", pytest.param("cuda", marks=on_a_gpu)])
-def device(request, monkeypatch) -> Iterator[str]:
+def device(request, monkeypatch) -> str:
     """Where learners replay: on a GPU by graphs, else by the recorder."""
     if request.param == "recorder":
         monkeypatch.setattr(graphs, "new_stream", lambda: "no stream")
@@ -117,16 +117,13 @@ def pair(variant: dict, device: str) -> tuple[Learner, Learner]:
     return replaying, plain
 
 
-def there(batch: Batch, device: str) -> Batch:
-    return Batch(*(x.to(device) if isinstance(x, torch.Tensor) else [each.to(device) for each in x] for x in batch))
-
-
 def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
     """A batch with void decisions and agents that are out of the game."""
     cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3)
     batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
     alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
-    return there(batch._replace(alive=alive[:3], next_alive=alive[3:]), learner.device.type)
+    batch = batch._replace(alive=alive[:3], next_alive=alive[3:])
+    return pytree.tree_map(lambda x: x.to(learner.device), batch)
 
 
 def assert_equal(one: Learner, other: Learner) -> None:
