@@ -90,9 +90,11 @@ def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -
     """
     policy = network(share.observations)
     log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).masked_fill(~share.valid, 0.0)
-    ratio = torch.exp(log_ratio)
-    surrogate = torch.min(ratio * share.MA, ratio.clamp(1 - c.clip, 1 + c.clip) * share.MA)
+    rise = torch.expm1(log_ratio)  # r − 1
+    # min(r·MÂ, clip(r, 1 ± ε)·MÂ) = MÂ + min((r − 1)·MÂ, ε·|MÂ|), of which half as many kernels make the gradient
+    surrogate = share.MA + (rise * share.MA).clamp(max=c.clip * share.MA.abs())
     entropy = (policy.entropy().sum(-1) * part).sum()
     loss = -(surrogate * part).sum() - c.entropy * entropy
-    kl = ((ratio - 1 - log_ratio).detach() * part).sum()  # never negative, and of low variance (Schulman, 2020)
-    return loss, {"entropy": entropy, "ratio": (ratio.detach() * part).sum(), "kl": kl}
+    rise, log_ratio = rise.detach(), log_ratio.detach()
+    kl = ((rise - log_ratio) * part).sum()  # never negative, and of low variance (Schulman, 2020)
+    return loss, {"entropy": entropy, "ratio": 1 + (rise * part).sum(), "kl": kl}
