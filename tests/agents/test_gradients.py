@@ -15,7 +15,7 @@ from agents.critics import value_loss
 from agents.graphs import Plainly
 from agents.happo import Learner
 from agents.networks import Actor, Critic
-from agents.optimise import means
+from agents.optimise import means, parts
 from agents.settings import Architecture, HappoConfig, TrustRegion
 from agents.trust_region import conjugate_gradient
 
@@ -78,6 +78,35 @@ def test_a_critic_follows_the_slope_of_its_loss():
         seen, target = torch.randn(40, 6).double(), 1.5 * torch.randn(40).double()
     old = critic(seen).detach() + 0.3 * torch.linspace(-1, 1, 40).double()
     assert_gradient(critic, lambda: value_loss(critic, seen, old, target, EQUALLY, CONFIG))
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES.values(), ids=ARCHITECTURES)
+def test_rows_that_do_not_count_have_no_part_in_a_gradient(architecture, scramble):
+    """They are not there, as far as losses, figures and gradients go; even where a density overflows."""
+    actor: Actor = scramble(0, architecture, observations=6)
+    rng = torch.Generator().manual_seed(1)
+    share = Share(*(torch.randn(shape, generator=rng) for shape in ((40, 6), (40, 2), 40, 40)), torch.arange(40) % 3 > 0)
+    kept = Share(*(x[share.valid] for x in share))
+    share.log_probs[~share.valid] = -300.0
+    found = {}
+    for rows in (share, kept):
+        loss, figures = surrogate_loss(actor, rows, parts(rows.valid)[0], CONFIG)
+        found[len(rows.valid)] = [loss, *figures.values(), *torch.autograd.grad(loss, list(actor.parameters()))]
+    assert sum(float(g.abs().sum()) for g in found[26][4:]) > 0.1
+    torch.testing.assert_close(found[40], found[26], rtol=1e-5, atol=1e-6)
+
+
+def test_a_value_that_does_not_count_has_no_part_in_a_gradient():
+    critic, rng = Critic([6], Architecture((5,))), torch.Generator().manual_seed(1)
+    rows = [torch.randn(shape, generator=rng) for shape in ((40, 6), 40, 40)]
+    valid = torch.arange(40) % 3 > 0
+    losses = [
+        value_loss(critic, *rows, parts(valid)[0], CONFIG),
+        value_loss(critic, *(x[valid] for x in rows), torch.full((26,), 1 / 26), CONFIG),
+    ]
+    weighted, kept = (torch.autograd.grad(loss, list(critic.parameters())) for loss in losses)
+    assert sum(float(g.abs().sum()) for g in kept) > 0.1
+    torch.testing.assert_close(weighted, kept, rtol=1e-5, atol=1e-6)
 
 
 # The trust region -----------------------------------------------------------------------------------------------------
