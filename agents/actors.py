@@ -8,7 +8,7 @@ from torch import Tensor
 from agents.batch import Batch, Share
 from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Tally, adam, minibatches, orders, parts, step
+from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
 from agents.settings import HappoConfig
 
 LEAST_LR, MOST_LR, LR_FACTOR = 1e-5, 1e-2, 1.5  # of the adaptive step size, as in rsl_rl
@@ -88,7 +88,8 @@ def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -
 
     `part` (B,) is what each row is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says there.
     """
-    policy = network(share.observations)
+    with networks(c.precision, share.MA.device):
+        policy = network(share.observations)
     log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).masked_fill(~share.valid, 0.0)
     rise = torch.expm1(log_ratio)  # r − 1
     # min(r·MÂ, clip(r, 1 ± ε)·MÂ) = MÂ + min((r − 1)·MÂ, ε·|MÂ|), of which half as many kernels make the gradient

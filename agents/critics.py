@@ -9,7 +9,7 @@ from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) 
 from agents.batch import Batch, Critique, views
 from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Tally, adam, minibatches, orders, parts, step
+from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
 
@@ -79,7 +79,8 @@ def value_loss(network: Critic, seen: Tensor, old: Tensor, target: Tensor, part:
 
     `part` (B,) is what each row is worth in the mean.
     """
-    value = network(seen)
+    with networks(c.precision, seen.device):
+        value = network(seen)
     clipped = old + (value - old).clamp(-c.clip, c.clip)
     losses = (huber_loss(v, target, reduction="none", delta=c.huber_delta) for v in (value, clipped))
     return (torch.max(*losses) * part).sum()

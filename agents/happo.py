@@ -7,7 +7,8 @@ IPPO each agent has a critic of its own. Equal robots may share an actor, which 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 
 import numpy as np
 import torch
@@ -20,9 +21,22 @@ from agents.checkpoint import State
 from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
 from agents.networks import Actor, Critic
-from agents.optimise import Tally, means, moments, parts
+from agents.optimise import Tally, means, moments, parts, products
 from agents.settings import OBSERVATION_CLIP, HappoConfig
 from agents.trust_region import TrustRegionLearner
+
+Update = Callable[["Learner", Batch], dict[str, float]]
+
+
+def _precisely(update: Update) -> Update:
+    """An update with matrix products as its learner's settings have them."""
+
+    @wraps(update)
+    def with_products(learner: "Learner", batch: Batch) -> dict[str, float]:
+        with products(learner.config.precision):
+            return update(learner, batch)
+
+    return with_products
 
 
 class Learner:
@@ -73,6 +87,7 @@ class Learner:
         by_leader = {learner.agents[0]: learner.network for learner in self.actor_learners}
         return [by_leader[leader] for leader in self.leaders]
 
+    @_precisely
     def update(self, batch: Batch) -> dict[str, float]:
         """One update of every actor and critic; returns losses and diagnostics, means over the update.
 
@@ -109,6 +124,7 @@ class Learner:
             run(self._observe, [shares[k] for k in range(len(shares))], critiques)
         return self._read(self._pace(batch, decay))
 
+    @_precisely
     def update_critic_only(self, batch: Batch) -> dict[str, float]:
         """The critics' share of `update`, for a team whose policy rests: its values follow what others learn meanwhile.
 

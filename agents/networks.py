@@ -66,7 +66,7 @@ class Gaussian(Normal):
         self._log_std = self.scale.log()
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """log N(a; μ, σ) = −z² / 2 − log σ − log(2π) / 2, where z = (a − μ) / σ."""
+        """Log N(a; μ, σ) = −z² / 2 − log σ − log(2π) / 2, where z = (a − μ) / σ."""
         return -0.5 * ((value - self.loc) / self.scale).square() - (self._log_std + LOG_ROOT)
 
     def entropy(self) -> Tensor:
@@ -112,8 +112,8 @@ class Actor(nn.Module):
     def gaussian(self, observations: Tensor) -> Gaussian:
         """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
         features = self.trunk(observations)
-        mean = self.mean(features)
-        logit = self.deviation(features) if self._state_std else self.std_logit
+        mean = self.mean(features).to(observations.dtype)  # autocast may have made it smaller
+        logit = self.deviation(features).to(observations.dtype) if self._state_std else self.std_logit
         std = torch.sigmoid(logit) * self.std_scale
         return Gaussian(mean, std.expand_as(mean))
 
@@ -161,4 +161,4 @@ class Critic(nn.Module):
 
     def forward(self, team_observations: Tensor) -> Tensor:
         """Values (...) of team observations (..., sum of sizes)."""
-        return self.value(self.trunk(team_observations)).squeeze(-1)
+        return self.value(self.trunk(team_observations)).squeeze(-1).to(team_observations.dtype)

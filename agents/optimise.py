@@ -4,9 +4,12 @@ Nothing here asks the device for a number: what does can be replayed as a CUDA g
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import torch
 from torch import Tensor, nn
+
+from agents.settings import Precision
 
 BETAS, EPSILON = (0.9, 0.999), 1e-5
 
@@ -74,6 +77,24 @@ def parts(valid: Tensor) -> tuple[Tensor, Tensor]:
     """
     count = valid.sum()
     return valid / count.clamp(min=1), (count > 0).float()
+
+
+@contextmanager
+def products(precision: Precision) -> Iterator[None]:
+    """Matrix products of float32 on a GPU within: of TF32 where the precision is that, else as they are."""
+    matmul = torch.backends.cuda.matmul
+    before = matmul.fp32_precision
+    if precision == "tf32":
+        matmul.fp32_precision = "tf32"
+    try:
+        yield
+    finally:
+        matmul.fp32_precision = before
+
+
+def networks(precision: Precision, device: torch.device) -> AbstractContextManager[object]:
+    """Networks within compute their products in bfloat16 where the precision is that; what they give is float32."""
+    return torch.autocast(device.type, torch.bfloat16) if precision == "bf16" else nullcontext()
 
 
 class Tally:

@@ -61,6 +61,8 @@ def team_of(learner: Learner) -> Team:
         raise ValueError("the update in JAX knows plain Gaussian policies and HAPPO only")
     if c.share_actors or c.normalise_observations or c.kl_stop or c.kl_step or c.decay_steps or not c.value_norm:
         raise ValueError("the update in JAX knows the default learner only")
+    if c.precision != "float32":
+        raise ValueError("the update in JAX computes in float32 only")
     if c.critic_input == "all" or not c.fixed_order:
         raise ValueError("the update in JAX knows agents in a fixed order and a critic of its own team only")
     norm = jnp.stack([jnp.asarray(state[f"value_norm.{k}"]) for k in ("mean_sum", "square_sum", "weight")])

@@ -85,7 +85,9 @@ def test_rows_that_do_not_count_have_no_part_in_a_gradient(architecture, scrambl
     """They are not there, as far as losses, figures and gradients go; even where a density overflows."""
     actor: Actor = scramble(0, architecture, observations=6)
     rng = torch.Generator().manual_seed(1)
-    share = Share(*(torch.randn(shape, generator=rng) for shape in ((40, 6), (40, 2), 40, 40)), torch.arange(40) % 3 > 0)
+    share = Share(
+        *(torch.randn(shape, generator=rng) for shape in ((40, 6), (40, 2), 40, 40)), torch.arange(40) % 3 > 0
+    )
     kept = Share(*(x[share.valid] for x in share))
     share.log_probs[~share.valid] = -300.0
     found = {}

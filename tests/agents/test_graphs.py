@@ -34,6 +34,7 @@ VARIANTS = {
     "kl_step": {"kl_step": 0.01},
     "decay": {"decay_steps": 400},
     "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
+    "bf16": {"precision": "bf16"},
     "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
 }
 ASKS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal")
