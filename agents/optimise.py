@@ -1,6 +1,6 @@
 """What actors and critics share when they learn: Adam, its step, minibatches, means, figures.
 
-Nothing here asks the device for a number: what does can be replayed as a CUDA graph (`agents/graphs.py`).
+Only `means` asks the device for numbers: all that comes before it can be replayed as CUDA graphs (`agents/graphs.py`).
 """
 
 from collections.abc import Iterator, Sequence
