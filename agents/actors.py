@@ -5,12 +5,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from agents.batch import Share
+from agents.batch import Batch, Share
+from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Figures, adam, minibatches, note, step
+from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
 from agents.settings import HappoConfig
 
 LEAST_LR, MOST_LR, LR_FACTOR = 1e-5, 1e-2, 1.5  # of the adaptive step size, as in rsl_rl
+FIGURES = ("policy_loss", "entropy", "ratio", "kl", "actor_grad_norm")
 
 
 class ActorLearner:
@@ -18,47 +20,82 @@ class ActorLearner:
 
     def __init__(self, network: Actor, agents: Sequence[int], config: HappoConfig):
         self.network, self.agents, self.config = network, tuple(agents), config
-        self.optimizer = adam(network, config.lr)
-        self.lr = torch.tensor(config.lr, dtype=torch.float64)  # part of the state where it adapts
+        device = network.std_scale.device
+        self.lr = torch.tensor(config.lr, dtype=torch.float64, device=device)  # part of the state where it adapts
+        self.rate = torch.tensor(config.lr, device=device)  # what Adam steps by: `lr`, or what has decayed of it
+        self.optimizer = adam(network, self.rate)
+        self.tally = Tally(FIGURES, device)
+
+    @torch.no_grad()
+    def share(self, batch: Batch, M: Tensor, A_hat: Sequence[Tensor]) -> Share:
+        """What the agents did in a clean batch, one after the other, each with its own M·Â."""
+        rows = [
+            (
+                *(x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)),
+                (M * A_hat[i]).masked_fill(~batch.alive[i].flatten(), 0.0),
+                batch.alive[i].flatten(),
+            )
+            for i in self.agents
+        ]
+        return Share(*(torch.cat(x) for x in zip(*rows, strict=True)))
 
     @torch.no_grad()
     def log_probs(self, share: Share) -> Tensor:
         """Log densities (B,) of the actions under the present policy."""
         return self.network(share.observations).log_prob(share.actions).sum(-1)
 
-    def update(self, share: Share, decay: float, rng: torch.Generator, figures: Figures) -> None:
+    @torch.no_grad()
+    def ratios(self, share: Share, before: Tensor) -> Tensor:
+        """(T·N,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
+        ratio = torch.exp(self.log_probs(share) - before).masked_fill(~share.valid, 1.0)
+        return torch.stack(ratio.chunk(len(self.agents))).prod(0)
+
+    def update(self, share: Share, decay: float, dice: torch.Generator, run: Run) -> None:
         """`epochs` × `minibatches` steps of Adam, fewer where the policy has moved by more than `kl_stop`.
 
         `decay` is what is left of the step size.
         """
         c = self.config
-        for _ in range(c.epochs):
-            moved = []
-            for rows in minibatches(len(share.actions), c.minibatches, rng, share.actions.device):
-                loss, found = surrogate_loss(self.network, Share(*(x[rows] for x in share)), c)
-                if c.kl_step is not None:
-                    self._adapt(float(found["kl"]), c.kl_step)
-                norm = step(self.optimizer, self.network, loss, c.max_grad_norm, self.lr.item() * decay)
-                note(figures, policy_loss=loss, **found, actor_grad_norm=norm)
-                moved.append(found["kl"])
-            if c.kl_stop is not None and float(torch.stack(moved).mean()) > c.kl_stop:
+        self.rate.copy_(self.lr * decay)
+        for order in orders(len(share.valid), c.epochs, dice):
+            moved = run(self.learn, share, order)
+            if c.kl_stop is not None and moved.item() > c.kl_stop:
                 break
 
-    def _adapt(self, kl: float, target: float) -> None:
+    def learn(self, share: Share, order: Tensor) -> Tensor:
+        """One pass over the rows in this order; () the mean KL divergence of its minibatches."""
+        c, before = self.config, self.tally.sums.clone()
+        for rows in minibatches(share, order, c.minibatches):
+            minibatch = Share(*rows)
+            part, taught = parts(minibatch.valid)
+            loss, found = surrogate_loss(self.network, minibatch, part, c)
+            if c.kl_step is not None:
+                self._adapt(found["kl"], c.kl_step)
+            norm = step(self.optimizer, self.network, loss, c.max_grad_norm, taught)
+            self.tally.note(taught, policy_loss=loss, **found, actor_grad_norm=norm)
+        return self.tally.mean("kl", before)
+
+    def _adapt(self, kl: Tensor, target: float) -> None:
         """Smaller steps where the policy moved by more than twice the target, larger ones below half of it."""
-        if kl > 2 * target:
-            self.lr.copy_((self.lr / LR_FACTOR).clamp(min=LEAST_LR))
-        elif 0 < kl < target / 2:
-            self.lr.copy_((self.lr * LR_FACTOR).clamp(max=MOST_LR))
+        smaller, larger = (self.lr / LR_FACTOR).clamp(min=LEAST_LR), (self.lr * LR_FACTOR).clamp(max=MOST_LR)
+        lr = torch.where((kl > 0) & (kl < target / 2), larger, self.lr)
+        self.lr.copy_(torch.where(kl > 2 * target, smaller, lr))
+        self.rate.copy_(self.lr)
 
 
-def surrogate_loss(network: Actor, share: Share, c: HappoConfig) -> tuple[Tensor, dict[str, Tensor]]:
-    """Clipped surrogate and entropy bonus as a loss, and figures of the policy that it was computed for."""
-    policy = network(share.observations)
-    log_ratio = policy.log_prob(share.actions).sum(-1) - share.log_probs
-    ratio = torch.exp(log_ratio)
-    surrogate = torch.min(ratio * share.MA, ratio.clamp(1 - c.clip, 1 + c.clip) * share.MA)
-    entropy = policy.entropy().sum(-1).mean()
-    loss = -surrogate.mean() - c.entropy * entropy
-    kl = (ratio - 1 - log_ratio).detach().mean()  # never negative, and of low variance (Schulman, 2020)
-    return loss, {"entropy": entropy, "ratio": ratio.mean(), "kl": kl}
+def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -> tuple[Tensor, dict[str, Tensor]]:
+    """Clipped surrogate and entropy bonus as a loss, and figures of the policy that it was computed for.
+
+    `part` (B,) is what each row is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says there.
+    """
+    with networks(c.precision, share.MA.device):
+        policy = network(share.observations)
+    log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).masked_fill(~share.valid, 0.0)
+    rise = torch.expm1(log_ratio)  # r − 1
+    # min(r·MÂ, clip(r, 1 ± ε)·MÂ) = MÂ + min((r − 1)·MÂ, ε·|MÂ|), of which half as many kernels make the gradient
+    surrogate = share.MA + (rise * share.MA).clamp(max=c.clip * share.MA.abs())
+    entropy = (policy.entropy().sum(-1) * part).sum()
+    loss = -(surrogate * part).sum() - c.entropy * entropy
+    rise, log_ratio = rise.detach(), log_ratio.detach()
+    kl = ((rise - log_ratio) * part).sum()  # never negative, and of low variance (Schulman, 2020)
+    return loss, {"entropy": entropy, "ratio": 1 + (rise * part).sum(), "kl": kl}

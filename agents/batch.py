@@ -28,36 +28,69 @@ class Batch(NamedTuple):
 
 
 class Share(NamedTuple):
-    """What an actor learns from: the B decisions that its agents took part in."""
+    """What an actor learns from: B = T·N decisions of each of its agents, with zeros where `valid` says no."""
 
     observations: Tensor  # (B, obs)
     actions: Tensor  # (B, act)
     log_probs: Tensor  # (B,) of the policy that acted
     MA: Tensor  # (B,) M·Â
+    valid: Tensor  # (B,) bool: the agent took part, and what came of it is known
 
 
 class Critique(NamedTuple):
-    """What a critic makes of the B valid decisions of a batch."""
+    """What a critic makes of the B = T·N decisions of a batch."""
 
     seen: Tensor  # (B, all that it sees)
     predictions: Tensor  # (B,) in normalised units, as all that the critic says
     values: Tensor  # (B,) the same in units of reward
     advantages: Tensor  # (B,)
     returns: Tensor  # (B,)
+    valid: Tensor  # (B,) bool: not void
+
+
+def clean(batch: Batch) -> Batch:
+    """The batch with zeros for what void decisions hold, and agents that were out of the game.
+
+    So no number that means nothing enters any arithmetic: 0 times NaN is NaN, and so is its gradient. Who took part in
+    a decision that is void counts as out of it.
+    """
+    valid = ~batch.void
+
+    def held(values: Sequence[Tensor], there: Sequence[Tensor]) -> list[Tensor]:
+        return [
+            x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0) for x, a in zip(values, there, strict=True)
+        ]
+
+    there, there_next, others, others_next = (
+        [a & valid for a in alive]
+        for alive in (batch.alive, batch.next_alive, batch.others_alive, batch.next_others_alive)
+    )
+    return Batch(
+        held(batch.observations, there),
+        held(batch.next_observations, there_next),
+        held(batch.actions, there),
+        held(batch.log_probs, there),
+        there,
+        there_next,
+        batch.rewards.masked_fill(batch.void, 0.0),
+        batch.terminated,
+        batch.truncated,
+        batch.void,
+        held(batch.others, others),
+        held(batch.next_others, others_next),
+        others,
+        others_next,
+    )
 
 
 def views(batch: Batch, agents: Sequence[int], everybody: bool) -> tuple[Tensor, Tensor]:
-    """What a critic of these agents sees before and after each decision, (T, N, all their observations).
+    """What a critic of these agents sees before and after each decision of a clean batch, (T, N, all that it sees).
 
     It sees zeros for who is out of the game. `everybody`: the other teams' agents come after its own.
     """
-    now = [(batch.observations[i], batch.alive[i]) for i in agents]
-    then = [(batch.next_observations[i], batch.next_alive[i]) for i in agents]
-    if everybody:
-        now += zip(batch.others, batch.others_alive, strict=True)
-        then += zip(batch.next_others, batch.next_others_alive, strict=True)
-    return _joint(now), _joint(then)
-
-
-def _joint(seen: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
-    return torch.cat([o.where(alive[..., None], 0.0) for o, alive in seen], -1)
+    others, next_others = (batch.others, batch.next_others) if everybody else ((), ())
+    now, then = (
+        [*(seen[i] for i in agents), *rest]
+        for seen, rest in ((batch.observations, others), (batch.next_observations, next_others))
+    )
+    return torch.cat(now, -1), torch.cat(then, -1)

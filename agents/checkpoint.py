@@ -39,12 +39,11 @@ def read(tensors: Mapping[str, Tensor], fixed: Collection[str], rng: torch.Gener
     rng.set_state(torch.from_numpy(np.array(state["rng"])))
 
 
-def check_finite(tensors: Mapping[str, Tensor], device: torch.device) -> None:
-    """Raise Diverged where a tensor on the device holds a number that is not finite, naming the first of them."""
+def check_finite(tensors: Mapping[str, Tensor]) -> None:
+    """Raise Diverged where a tensor holds a number that is not finite, naming the first of them."""
     floats = {k: t for k, t in tensors.items() if t.is_floating_point()}
-    here = {k: t for k, t in floats.items() if t.device.type == device.type}  # Adam counts steps on the CPU
-    if not torch.cat([t.detach().flatten() for t in here.values()]).isfinite().all():
-        refuse([name for name, t in here.items() if not t.isfinite().all()])
+    if not torch.cat([t.detach().flatten() for t in floats.values()]).isfinite().all():
+        refuse([name for name, t in floats.items() if not t.isfinite().all()])
 
 
 def refuse(bad: Sequence[str]) -> None:

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
 from agents.batch import Batch, Critique, views
+from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Figures, adam, minibatches, note, step
+from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
 
@@ -17,34 +19,53 @@ class CriticLearner:
 
     def __init__(self, network: Critic, agents: Sequence[int], config: HappoConfig):
         self.network, self.agents, self.config = network, tuple(agents), config
-        self.value_norm = ValueNorm().to(network.value.bias.device)
-        self.optimizer = adam(network, config.critic_lr)
+        device = network.value.bias.device
+        self.value_norm = ValueNorm().to(device)
+        self.rate = torch.tensor(config.critic_lr, device=device)  # what Adam steps by
+        self.optimizer = adam(network, self.rate)
+        self.tally = Tally(("value_loss", "critic_grad_norm"), device)
+        self.fit = Tally(("explained_variance",), device)
 
     @torch.no_grad()
-    def criticise(self, batch: Batch, valid: Tensor) -> Critique:
-        """Values, advantages and returns by the critic as it is before the update."""
+    def criticise(self, batch: Batch) -> Critique:
+        """Values, advantages and returns of a clean batch by the critic as it is before the update."""
         c = self.config
         seen, seen_next = views(batch, self.agents, c.critic_input == "all")
         predictions = self.network(seen)
-        values = self._denormalise(predictions)
-        next_values = self._denormalise(self.network(seen_next))
-        A = advantages(
-            batch.rewards, values, next_values, batch.terminated, batch.truncated, batch.void, c.gamma, c.lam
-        )[valid]
-        return Critique(seen[valid], predictions[valid], values[valid], A, A + values[valid])
+        values, next_values = self._denormalise(predictions), self._denormalise(self.network(seen_next))
+        ends = batch.terminated, batch.truncated, batch.void
+        A = advantages(batch.rewards, values, next_values, *ends, c.gamma, c.lam)
+        found = seen, predictions, values, A, A + values, ~batch.void
+        return Critique(*(x.flatten(0, 1) for x in found))
 
-    def update(self, critique: Critique, decay: float, rng: torch.Generator, figures: Figures) -> None:
+    def update(self, critique: Critique, decay: float, dice: torch.Generator, run: Run) -> None:
         """Learn from returns that the normaliser has just seen; `decay` is what is left of the step size."""
-        c, (seen, old, values, _, returns) = self.config, critique
-        for _ in range(c.epochs):
-            for rows in minibatches(len(seen), c.minibatches, rng, seen.device):
-                if c.value_norm:
-                    self.value_norm.update(returns[rows])
-                loss = value_loss(self.network, seen[rows], old[rows], self._normalise(returns[rows]), c)
-                norm = step(self.optimizer, self.network, loss, c.max_grad_norm, c.critic_lr * decay)
-                note(figures, value_loss=loss, critic_grad_norm=norm)
-        spread = returns.var(correction=0).clamp(min=1e-8)
-        note(figures, explained_variance=1 - (returns - values).var(correction=0) / spread)
+        self.rate.fill_(self.config.critic_lr * decay)
+        for order in orders(len(critique.valid), self.config.epochs, dice):
+            run(self.learn, critique, order)
+        run(self.explain, critique)
+
+    def learn(self, critique: Critique, order: Tensor) -> None:
+        """One pass over the rows in this order."""
+        c, rows = self.config, (critique.seen, critique.predictions, critique.returns, critique.valid)
+        for seen, old, R, valid in minibatches(rows, order, c.minibatches):
+            part, taught = parts(valid)
+            if c.value_norm:
+                self.value_norm.update(R, part, taught)
+            loss = value_loss(self.network, seen, old, self._normalise(R), part, c)
+            norm = step(self.optimizer, self.network, loss, c.max_grad_norm, taught)
+            self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
+
+    @torch.no_grad()
+    def explain(self, critique: Critique) -> None:
+        """Note the share of the returns' variance that was known before."""
+        part, taught = parts(critique.valid)
+
+        def variance(x: Tensor) -> Tensor:
+            return ((x - (x * part).sum()) ** 2 * part).sum()
+
+        spread = variance(critique.returns).clamp(min=1e-8)
+        self.fit.note(taught, explained_variance=1 - variance(critique.returns - critique.values) / spread)
 
     def _normalise(self, returns: Tensor) -> Tensor:
         return self.value_norm.normalise(returns) if self.config.value_norm else returns
@@ -53,13 +74,13 @@ class CriticLearner:
         return self.value_norm.denormalise(values) if self.config.value_norm else values
 
 
-def value_loss(network: Critic, seen: Tensor, old: Tensor, target: Tensor, c: HappoConfig) -> Tensor:
-    """The larger of the Huber losses of the value and of the value held within `clip` of what it was."""
-    value = network(seen)
+def value_loss(network: Critic, seen: Tensor, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig) -> Tensor:
+    """The larger of the Huber losses of the value and of the value held within `clip` of what it was.
+
+    `part` (B,) is what each row is worth in the mean.
+    """
+    with networks(c.precision, seen.device):
+        value = network(seen)
     clipped = old + (value - old).clamp(-c.clip, c.clip)
-    return torch.max(_huber(target - value, c.huber_delta), _huber(target - clipped, c.huber_delta)).mean()
-
-
-def _huber(error: Tensor, delta: float) -> Tensor:
-    """e²/2 inside δ, δ(|e| − δ/2) outside."""
-    return nn.functional.huber_loss(error, torch.zeros_like(error), reduction="none", delta=delta)
+    losses = (huber_loss(v, target, reduction="none", delta=c.huber_delta) for v in (value, clipped))
+    return (torch.max(*losses) * part).sum()

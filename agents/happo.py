@@ -7,7 +7,8 @@ IPPO each agent has a critic of its own. Equal robots may share an actor, which 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 
 import numpy as np
 import torch
@@ -15,13 +16,27 @@ from torch import Tensor
 
 from agents import checkpoint
 from agents.actors import ActorLearner
-from agents.batch import Batch, Critique, Share
+from agents.batch import Batch, Critique, Share, clean
 from agents.checkpoint import State
 from agents.critics import CriticLearner
+from agents.graphs import Graphs, Run
 from agents.networks import Actor, Critic
-from agents.optimise import Figures, moments, note
+from agents.optimise import Tally, means, moments, parts, products
 from agents.settings import OBSERVATION_CLIP, HappoConfig
 from agents.trust_region import TrustRegionLearner
+
+Update = Callable[["Learner", Batch], dict[str, float]]
+
+
+def _precisely(update: Update) -> Update:
+    """An update with matrix products as its learner's settings have them."""
+
+    @wraps(update)
+    def with_products(learner: "Learner", batch: Batch) -> dict[str, float]:
+        with products(learner.config.precision):
+            return update(learner, batch)
+
+    return with_products
 
 
 class Learner:
@@ -45,7 +60,9 @@ class Learner:
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
-        self.rng = torch.Generator().manual_seed(seed)
+        self.rng = torch.Generator().manual_seed(seed)  # part of the state; `dice` have a fresh seed of it each update
+        self.dice = torch.Generator(self.device)
+        self.graphs = Graphs(self.device, c.graphs)
         n, arch = len(observation_sizes), c.architecture
         equal = list(zip(kinds or [""] * n, observation_sizes, action_sizes, strict=True))
         self.leaders = [equal.index(e) if c.share_actors else i for i, e in enumerate(equal)]
@@ -60,7 +77,8 @@ class Learner:
         kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
         self.actor_learners = [kind(a, agents, c) for a, agents in zip(actors, together.values(), strict=True)]
         self.critic_learners = [CriticLearner(v, circle, c) for v, circle in zip(critics, circles, strict=True)]
-        self.observation_counts = torch.zeros(len(actors) + len(critics))  # of each actor, then of each critic
+        # Of each actor, then of each critic:
+        self.observation_counts = torch.zeros(len(actors) + len(critics), device=self.device)
         self.steps = torch.zeros((), dtype=torch.int64)  # decisions × worlds learnt from, where step sizes decay
 
     @property
@@ -69,78 +87,90 @@ class Learner:
         by_leader = {learner.agents[0]: learner.network for learner in self.actor_learners}
         return [by_leader[leader] for leader in self.leaders]
 
+    @_precisely
     def update(self, batch: Batch) -> dict[str, float]:
         """One update of every actor and critic; returns losses and diagnostics, means over the update.
 
-        Void decisions are left out: whatever they hold, the update is the same. Where all are void there is none. So
-        are the numbers of an agent that was not alive: its rows teach its actor nothing and leave M as it is, a
+        Void decisions count for nothing: whatever they hold, the update is the same. Where all are void there is none.
+        So are the numbers of an agent that was not alive: its rows teach its actor nothing and leave M as it is, a
         decision without any living agent is no part of Â's mean and deviation, and the critic sees zeros for it.
         Raises Diverged where rewards, actions, log densities, losses, gradients or the state that results are not
         finite; the state is then worthless, and `load` brings back one that is not.
         """
-        valid = ~batch.void  # (T, N); below, x[valid] has one row for each of the B valid decisions
-        self._check_batch(batch)
-        if not valid.any():
-            self._check_state()  # a policy that is not finite makes every world void
+        run = self.graphs.of(batch.rewards.shape)
+        batch, known = self._begin(batch, run)
+        if not known:
             return {}
-        critiques = [critic.criticise(batch, valid) for critic in self.critic_learners]
-        alive = [a[valid] for a in batch.alive]
-        A_hat = self._standardised(critiques, alive)
+        critiques = [run(critic.criticise, batch) for critic in self.critic_learners]
+        A_hat = run(self._standardised, critiques, batch.alive)
+        decay = self._decay()
+        with run.beside() as beside:  # critics and actors do not know of each other from here on
+            for critic, critique in zip(self.critic_learners, critiques, strict=True):
+                critic.update(critique, decay, self.dice, beside)
 
-        M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, (B,)
-        decay, figures = self._decay(), Figures()
+        M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, (T·N,)
+        shares: dict[int, Share] = {}
         for k in self._order():
             actor = self.actor_learners[k]
-            parts = [self._share(batch, valid, i, (M * A_hat[i])[alive[i]]) for i in actor.agents]
-            share = Share(*(torch.cat(x) for x in zip(*parts, strict=True))) if len(parts) > 1 else parts[0]
-            if not len(share.actions):
-                continue  # out of the game all the time
-            before = actor.log_probs(share)
-            actor.update(share, decay, self.rng, figures)
+            share = shares[k] = run(actor.share, batch, M, A_hat)
             if self.config.method in ("happo", "hatrpo"):
-                ratios = torch.exp(actor.log_probs(share) - before).split([len(p.actions) for p in parts])
-                for i, ratio in zip(actor.agents, ratios, strict=True):
-                    M[alive[i]] *= ratio
-        for critic, critique in zip(self.critic_learners, critiques, strict=True):
-            critic.update(critique, decay, self.rng, figures)
+                before = run(actor.log_probs, share)
+                actor.update(share, decay, self.dice, run)
+                M *= run(actor.ratios, share, before)
+            else:
+                actor.update(share, decay, self.dice, run)
+        run.meet()
         if self.config.normalise_observations:
-            self._observe(batch, valid, critiques)
-        self._pace(batch, decay, figures)
-        return self._read(figures)
+            run(self._observe, [shares[k] for k in range(len(shares))], critiques)
+        return self._read(self._pace(batch, decay))
 
+    @_precisely
     def update_critic_only(self, batch: Batch) -> dict[str, float]:
         """The critics' share of `update`, for a team whose policy rests: its values follow what others learn meanwhile.
 
         Actors and observation statistics, which are part of the policy, stay as they are. Raises Diverged as `update`.
         """
-        valid = ~batch.void
-        self._check_batch(batch)
-        if not valid.any():
-            self._check_state()
+        run = self.graphs.of(batch.rewards.shape)
+        batch, known = self._begin(batch, run)
+        if not known:
             return {}
-        figures = Figures()
         for critic in self.critic_learners:
-            critic.update(critic.criticise(batch, valid), self._decay(), self.rng, figures)
-        return self._read(figures)
+            critic.update(run(critic.criticise, batch), self._decay(), self.dice, run)
+        return self._read({})
 
+    def _begin(self, batch: Batch, run: Run) -> tuple[Batch, bool]:
+        """The batch with zeros where it means nothing, and whether any decision is known; throws the dice anew.
+
+        Raises Diverged where it holds what no update can learn from; nothing has changed by then.
+        """
+        agents = range(len(batch.actions))
+        held = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
+        batch, sound = run(_cleaned, batch)
+        known, *sound = sound.tolist()
+        checkpoint.refuse([name for name, ok in zip(held, sound, strict=True) if not ok])
+        if not known:
+            self._check_state()  # a policy that is not finite makes every world void
+            return batch, False
+        self.dice.manual_seed(draw_seed(self.rng))
+        for tally in self._tallies():
+            tally.sums.zero_()
+        return batch, True
+
+    @torch.no_grad()
     def _standardised(self, critiques: Sequence[Critique], alive: Sequence[Tensor]) -> list[Tensor]:
-        """Each agent's Â (B,): the team's, with the mean and deviation of the decisions in which anybody took part.
+        """Each agent's Â (T·N,): the team's, with the mean and deviation of the decisions in which anybody took part.
 
         In IPPO its own critic's, with those of the decisions in which it took part itself.
         """
 
         def standardised(A: Tensor, acted: Tensor) -> Tensor:
-            there = A[acted]
-            return (A - there.mean()) / (there.std(correction=0) + 1e-5) if len(there) else A
+            part, _ = parts(acted.flatten())
+            gap = A - (A * part).sum()
+            return gap / (torch.sqrt((gap**2 * part).sum()) + 1e-5)
 
         if self.config.method == "ippo":
             return [standardised(critique.advantages, a) for critique, a in zip(critiques, alive, strict=True)]
         return [standardised(critiques[0].advantages, torch.stack(list(alive)).any(0))] * len(alive)
-
-    def _share(self, batch: Batch, valid: Tensor, i: int, MA: Tensor) -> Share:
-        """The decisions that agent i took part in, and what they were good for."""
-        own = batch.alive[i] & valid  # (T, N)
-        return Share(batch.observations[i][own], batch.actions[i][own], batch.log_probs[i][own], MA)
 
     def _order(self) -> list[int]:
         n = len(self.actor_learners)
@@ -151,59 +181,50 @@ class Learner:
         span = self.config.decay_steps
         return max(0.0, 1.0 - self.steps.item() / span) if span else 1.0
 
-    def _pace(self, batch: Batch, decay: float, figures: Figures) -> None:
+    def _pace(self, batch: Batch, decay: float) -> dict[str, float]:
         """Count the steps where step sizes decay, and tell the step size where it changes."""
         c = self.config
         if c.decay_steps:
             self.steps += batch.rewards.numel()
-        if c.decay_steps or c.kl_step is not None:
-            for actor in (a for a in self.actor_learners if a.optimizer):
-                note(figures, lr=(actor.lr * decay).float().to(self.device))
+        told = [actor.lr for actor in self.actor_learners if actor.optimizer and (c.decay_steps or c.kl_step)]
+        return {"lr": torch.stack(told).mean().item() * decay} if told else {}
 
     @torch.no_grad()
-    def _observe(self, batch: Batch, valid: Tensor, critiques: Sequence[Critique]) -> None:
-        """Merge what actors saw, each (B_i, obs), and what critics saw into the running statistics (Chan et al., 1979),
-        after they were learnt from.
-        """
-        rows = [[batch.observations[i][batch.alive[i] & valid] for i in a.agents] for a in self.actor_learners]
-        seen = [*(torch.cat(r) for r in rows), *(critique.seen for critique in critiques)]
+    def _observe(self, shares: Sequence[Share], critiques: Sequence[Critique]) -> None:
+        """Merge what actors and critics saw, each (B, obs), into the running statistics (Chan et al., 1979)."""
+        seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
         trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
-        for k, (trunk, obs) in enumerate(zip(trunks, seen, strict=True)):
-            if not (n := len(obs)):
-                continue
-            weight = n / (float(self.observation_counts[k]) + n)
-            self.observation_counts[k] += n
-            gap = obs.mean(0) - trunk.observation_mean
+        for trunk, (obs, valid), count in zip(trunks, seen, self.observation_counts, strict=True):
+            part, _ = parts(valid)
+            n, part = valid.sum(), part[:, None]
+            weight = n / (count + n).clamp(min=1)
+            mean = (obs * part).sum(0)
+            gap = mean - trunk.observation_mean
             var = trunk.observation_var
-            var += weight * (obs.var(0, correction=0) - var) + weight * (1 - weight) * gap**2
+            var += weight * (((obs - mean) ** 2 * part).sum(0) - var) + weight * (1 - weight) * gap**2
             trunk.observation_mean += weight * gap
-            trunk.observation_clip.fill_(OBSERVATION_CLIP)  # from now on there is something to normalise by
+            trunk.observation_clip.masked_fill_(n > 0, OBSERVATION_CLIP)  # now there is something to normalise by
+            count += n
 
     # Whether all is finite -------------------------------------------------------------------------------------------
 
-    def _check_batch(self, batch: Batch) -> None:
-        """Raise Diverged where a valid decision holds what no update can learn from; nothing has changed by then."""
-        held = {"rewards": batch.rewards}
-        for i, alive in enumerate(batch.alive):
-            held[f"agent {i}'s actions"] = batch.actions[i].sum(-1).where(alive, 0.0)  # finite where all of them are
-            held[f"agent {i}'s log densities"] = batch.log_probs[i].where(alive, 0.0)
-        sound = torch.stack([(x.isfinite() | batch.void).all() for x in held.values()])
-        checkpoint.refuse([name for name, ok in zip(held, sound.tolist(), strict=True) if not ok])
-
     def _check_state(self) -> None:
         """Raise Diverged where weights, Adam's moments or normalisers are not finite."""
-        checkpoint.check_finite(self._tensors(), self.device)
+        checkpoint.check_finite(self._tensors())
 
-    def _read(self, figures: Figures) -> dict[str, float]:
+    def _read(self, more: Mapping[str, float]) -> dict[str, float]:
         """The figures' means, fetched at once when all is done. Raises Diverged where they or the state are not finite.
 
         Reading them also keeps tensors that are views of JAX's buffers alive until torch has finished with them.
         """
-        means = torch.stack([torch.stack(x).mean() for x in figures.values()]).tolist()
-        found = dict(zip(figures, means, strict=True))
+        found = {**means(self._tallies()), **more}
         checkpoint.refuse([name for name, value in found.items() if not math.isfinite(value)])
         self._check_state()
         return found
+
+    def _tallies(self) -> list[Tally]:
+        critics = self.critic_learners
+        return [*(a.tally for a in self.actor_learners), *(c.tally for c in critics), *(c.fit for c in critics)]
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -257,3 +278,19 @@ class Learner:
         if self.config.share_actors:
             tensors["sharing"] = torch.tensor(self.leaders)
         return tensors
+
+
+@torch.no_grad()
+def _cleaned(batch: Batch) -> tuple[Batch, Tensor]:
+    """The clean batch, and (2 + 2·agents,) bool: whether anything is known, and what it holds finite.
+
+    That is rewards, and each agent's actions and log densities.
+    """
+    batch = clean(batch)
+    held = [batch.rewards, *(x for each in zip(batch.actions, batch.log_probs, strict=True) for x in each)]
+    return batch, torch.stack([~batch.void.all(), *(x.isfinite().all() for x in held)])
+
+
+def draw_seed(rng: torch.Generator) -> int:
+    """What an update's dice are seeded with: 63 bits."""
+    return int(torch.randint(2**63 - 1, (), generator=rng))

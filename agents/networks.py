@@ -22,6 +22,7 @@ _GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_g
 _APPLY = {"tanh": torch.tanh, "relu": torch.relu, "elu": nn.functional.elu}
 LAST_LAYER_GAIN = 0.01
 NODES = 16  # of the quadrature of a squashed policy's entropy
+LOG_ROOT = 0.5 * math.log(2 * math.pi)
 NO_CLIP = torch.finfo(torch.float32).max
 
 
@@ -55,6 +56,22 @@ class Trunk(nn.Module):
             x = self._apply_activation(layer(x))
             x = self.norm[i + 1](x) if self.norm else x
         return x
+
+
+class Gaussian(Normal):
+    """Torch's, with fewer kernels in its density and the gradient of it."""
+
+    def __init__(self, mean: Tensor, std: Tensor):
+        super().__init__(mean, std, validate_args=False)
+        self._log_std = self.scale.log()
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log N(a; μ, σ) = −z² / 2 − log σ − log(2π) / 2, where z = (a − μ) / σ."""
+        return -0.5 * ((value - self.loc) / self.scale).square() - (self._log_std + LOG_ROOT)
+
+    def entropy(self) -> Tensor:
+        """½ + log(2π) / 2 + log σ."""
+        return self._log_std + (0.5 + LOG_ROOT)
 
 
 class Actor(nn.Module):
@@ -92,15 +109,15 @@ class Actor(nn.Module):
             nn.init.ones_(self.deviation.bias)
         self._squashed, self._state_std = architecture.squash is not None, architecture.state_std
 
-    def gaussian(self, observations: Tensor) -> Normal:
+    def gaussian(self, observations: Tensor) -> Gaussian:
         """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
         features = self.trunk(observations)
-        mean = self.mean(features)
-        logit = self.deviation(features) if self._state_std else self.std_logit
+        mean = self.mean(features).to(observations.dtype)  # autocast may have made it smaller
+        logit = self.deviation(features).to(observations.dtype) if self._state_std else self.std_logit
         std = torch.sigmoid(logit) * self.std_scale
-        return Normal(mean, std.expand_as(mean), validate_args=False)
+        return Gaussian(mean, std.expand_as(mean))
 
-    def forward(self, observations: Tensor) -> "Normal | Squashed":
+    def forward(self, observations: Tensor) -> "Gaussian | Squashed":
         """The distribution of actions (..., action_size) given observations (..., observation_size)."""
         gaussian = self.gaussian(observations)
         return Squashed(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
@@ -109,7 +126,7 @@ class Actor(nn.Module):
 class Squashed:
     """c·tanh(u / c) of a diagonal Gaussian u, for a limit c: near 0 it is u, and it never leaves ±c."""
 
-    def __init__(self, gaussian: Normal, limit: Tensor, nodes: Tensor, weights: Tensor):
+    def __init__(self, gaussian: Gaussian, limit: Tensor, nodes: Tensor, weights: Tensor):
         self.gaussian, self.limit, self._nodes, self._weights = gaussian, limit, nodes, weights
 
     def log_prob(self, actions: Tensor) -> Tensor:
@@ -144,4 +161,4 @@ class Critic(nn.Module):
 
     def forward(self, team_observations: Tensor) -> Tensor:
         """Values (...) of team observations (..., sum of sizes)."""
-        return self.value(self.trunk(team_observations)).squeeze(-1)
+        return self.value(self.trunk(team_observations)).squeeze(-1).to(team_observations.dtype)

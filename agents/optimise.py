@@ -1,19 +1,37 @@
-"""What actors and critics share when they learn: Adam, its step, minibatches, figures."""
+"""What actors and critics share when they learn: Adam, its step, minibatches, means, figures.
 
-from collections.abc import Iterator
+Only `means` asks the device for numbers: all that comes before it can be replayed as CUDA graphs (`agents/graphs.py`).
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import torch
 from torch import Tensor, nn
 
-Figures = dict[str, list[Tensor]]  # name -> what each minibatch said, kept on the device
+from agents.settings import Precision
+
+BETAS, EPSILON = (0.9, 0.999), 1e-5
 
 
-def adam(module: nn.Module, lr: float) -> torch.optim.Adam:
-    """Adam with its moments made at once, where it would make them at its first step: a fresh state is complete too."""
-    optimizer = torch.optim.Adam(module.parameters(), lr=lr, eps=1e-5, foreach=True)
-    for parameter in module.parameters():
+class Adam(torch.optim.Adam):
+    """Torch's, which leaves parameters, moments and step counts as they are where `found_inf` is 1, as its grad scaler
+    uses it.
+    """
+
+    found_inf: Tensor | None = None  # () float
+
+
+def adam(module: nn.Module, lr: Tensor) -> Adam:
+    """Adam with its moments made at once, where it would make them at its first step: a fresh state is complete too.
+
+    `lr` () is read at each step; it lies, like the moments, on the device of the parameters.
+    """
+    parameters = list(module.parameters())
+    optimizer = Adam(parameters, lr=lr, betas=BETAS, eps=EPSILON, fused=True, capturable=lr.is_cuda)
+    for parameter in parameters:
         optimizer.state[parameter] = {
-            "step": torch.zeros(()),
+            "step": torch.zeros((), device=lr.device),
             "exp_avg": torch.zeros_like(parameter),
             "exp_avg_sq": torch.zeros_like(parameter),
         }
@@ -30,23 +48,79 @@ def moments(name: str, module: nn.Module, optimizer: torch.optim.Adam | None) ->
     return found
 
 
-def step(optimizer: torch.optim.Adam, module: nn.Module, loss: Tensor, max_grad_norm: float, lr: float) -> Tensor:
-    """One step of Adam; returns the norm that the gradient had before it was scaled down."""
-    optimizer.zero_grad(set_to_none=True)
-    loss.backward()
-    norm = nn.utils.clip_grad_norm_(module.parameters(), max_grad_norm)
-    for group in optimizer.param_groups:
-        group["lr"] = lr
+def step(optimizer: Adam, module: nn.Module, loss: Tensor, max_grad_norm: float, taught: Tensor) -> Tensor:
+    """One step of Adam, if `taught` () is 1 and not 0; returns the norm of the gradient before it was scaled down."""
+    parameters = list(module.parameters())
+    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+        parameter.grad = gradient
+    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
+    optimizer.found_inf = 1 - taught
     optimizer.step()
     return norm
 
 
-def minibatches(size: int, parts: int, rng: torch.Generator, device: torch.device) -> Iterator[Tensor]:
-    """Row indices of one pass over a batch: a random split into `parts`."""
-    yield from torch.randperm(size, generator=rng).to(device).chunk(parts)
+def orders(size: int, passes: int, dice: torch.Generator) -> Iterator[Tensor]:
+    """For each pass over a batch its rows in a random order (size,), on the device of the dice."""
+    for _ in range(passes):
+        yield torch.randperm(size, generator=dice, device=dice.device)
 
 
-def note(figures: Figures, **values: Tensor) -> None:
-    """Keep values on the device: reading each one would make the GPU wait a hundred times an update."""
-    for name, value in values.items():
-        figures.setdefault(name, []).append(value.detach())
+def minibatches(rows: Sequence[Tensor], order: Tensor, count: int) -> Iterator[tuple[Tensor, ...]]:
+    """The rows (B, ...) of several tensors in this order, in `count` parts."""
+    yield from zip(*(x.index_select(0, order).chunk(count) for x in rows), strict=True)
+
+
+def parts(valid: Tensor) -> tuple[Tensor, Tensor]:
+    """What each row (B,) is worth in a mean over the valid ones, which is Σ x · part; () 1, or 0 if there are none.
+
+    Then all parts are 0, and so is the mean.
+    """
+    count = valid.sum()
+    return valid / count.clamp(min=1), (count > 0).float()
+
+
+@contextmanager
+def products(precision: Precision) -> Iterator[None]:
+    """Matrix products of float32 on a GPU within: of TF32 where the precision is that, else as they are."""
+    matmul = torch.backends.cuda.matmul
+    before = matmul.fp32_precision
+    if precision == "tf32":
+        matmul.fp32_precision = "tf32"
+    try:
+        yield
+    finally:
+        matmul.fp32_precision = before
+
+
+def networks(precision: Precision, device: torch.device) -> AbstractContextManager[object]:
+    """Networks within compute their products in bfloat16 where the precision is that; what they give is float32."""
+    return torch.autocast(device.type, torch.bfloat16) if precision == "bf16" else nullcontext()
+
+
+class Tally:
+    """Figures that minibatches tell, summed up on the device: to read each one a GPU would wait a hundred times."""
+
+    def __init__(self, names: Sequence[str], device: torch.device):
+        self.names, self.sums = tuple(names), torch.zeros(len(names) + 1, device=device)  # the last one counts
+
+    def note(self, told: Tensor, **values: Tensor) -> None:
+        """Add one of each figure (), if `told` () is 1 and not 0; then they must be finite all the same."""
+        each = [values[name].detach().float() for name in self.names]
+        self.sums.addcmul_(torch.stack([*each, told]), told)
+
+    def mean(self, name: str, since: Tensor) -> Tensor:
+        """() The mean of what was told of a figure since the sums were these; 0 if nothing was."""
+        told = self.sums - since
+        return told[self.names.index(name)] / told[-1].clamp(min=1.0)
+
+
+def means(tallies: Sequence[Tally]) -> dict[str, float]:
+    """Each figure's mean over all tallies that have it, fetched at once; a figure that nobody told is left out."""
+    found: dict[str, tuple[float, float]] = {}
+    told = torch.cat([tally.sums for tally in tallies]).tolist()
+    for tally in tallies:
+        *sums, count = (told.pop(0) for _ in tally.sums)
+        for name, total in zip(tally.names, sums, strict=True):
+            before = found.get(name, (0.0, 0.0))
+            found[name] = before[0] + total, before[1] + count
+    return {name: total / count for name, (total, count) in found.items() if count}

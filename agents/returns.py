@@ -21,14 +21,12 @@ def advantages(
     it. So a time limit is bootstrapped with the value of its true last observation, and a real end is not. What a
     `void` decision led to is unknown: its own advantage is 0, and those before it bootstrap with V where it was taken.
     """
-    ended = terminated | truncated | void
-    advantage = torch.zeros_like(rewards[0])
-    out = torch.empty_like(rewards)
+    # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
+    delta = (rewards + gamma * next_values * ~terminated - values).masked_fill(void, 0.0)
+    carried = torch.full_like(delta, gamma * lam).masked_fill(terminated | truncated | void, 0.0)
+    advantage, out = torch.zeros_like(rewards[0]), torch.empty_like(delta)
     for t in reversed(range(len(rewards))):
-        # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
-        delta = rewards[t] + gamma * next_values[t] * ~terminated[t] - values[t]
-        advantage = torch.where(void[t], 0.0, delta + gamma * lam * advantage * ~ended[t])
-        out[t] = advantage
+        advantage = torch.addcmul(delta[t], carried[t], advantage, out=out[t])
     return out
 
 
@@ -53,18 +51,19 @@ class ValueNorm(nn.Module):
         self.register_buffer("weight", torch.zeros(()))
 
     @torch.no_grad()
-    def update(self, returns: Tensor) -> None:
-        """Take a batch of returns into account."""
-        self.mean_sum.mul_(self.beta).add_((1 - self.beta) * returns.mean())
-        self.square_sum.mul_(self.beta).add_((1 - self.beta) * (returns**2).mean())
-        self.weight.mul_(self.beta).add_(1 - self.beta)
+    def update(self, returns: Tensor, part: Tensor, seen: Tensor) -> None:
+        """Take returns (B,) into account, each with its part (B,) in their mean, if any were `seen`: () 1 or 0."""
+        weight = (1 - self.beta) * seen
+        self.mean_sum.lerp_((returns * part).sum(), weight)  # β · sum + (1 − β) · mean
+        self.square_sum.lerp_((returns**2 * part).sum(), weight)
+        self.weight.lerp_(torch.ones_like(weight), weight)
 
     def statistics(self) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation (), in units of reward; 0 and 1 before the first update."""
         weight = self.weight.clamp(min=1e-12)  # asking whether it is 0 would make the GPU wait
         mean = self.mean_sum / weight
         std = torch.sqrt((self.square_sum / weight - mean**2).clamp(min=0.01))
-        return mean, torch.where(self.weight > 0, std, 1.0)
+        return mean, std.masked_fill(self.weight == 0, 1.0)
 
     def normalise(self, returns: Tensor) -> Tensor:
         """Returns in the critic's units."""

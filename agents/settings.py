@@ -14,6 +14,7 @@ OBSERVATION_CLIP = 10.0
 SQUASH_EDGE = 1 - 1e-6
 
 Method = Literal["happo", "mappo", "ippo", "hatrpo"]
+Precision = Literal["float32", "tf32", "bf16"]
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,11 @@ class HappoConfig:
     """Normalise observations by their running mean and deviation; the statistics are part of the policy."""
     fixed_order: bool = False
     """Update the agents in the team's order instead of a fresh random one each time (HARL-A: true)."""
+    graphs: bool = True
+    """On a GPU, replay the update as CUDA graphs (off: launch every kernel by itself, the reference)."""
+    precision: Precision = "float32"
+    """Of matrix products while learning: float32; tf32 (10 bits instead of 23; on a CPU the same as float32); bf16 (7
+    bits, where losses are computed). Weights, moments, densities, advantages and sums are float32 always."""
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""

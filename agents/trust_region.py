@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 from torch.distributions import Normal, kl_divergence
 
-from agents.actors import ActorLearner
+from agents.actors import FIGURES, ActorLearner
 from agents.batch import Share
+from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Figures, note
+from agents.optimise import Tally, parts
 from agents.settings import HappoConfig
 
 
@@ -20,22 +21,26 @@ class TrustRegionLearner(ActorLearner):
     def __init__(self, network: Actor, agents: Sequence[int], config: HappoConfig):
         super().__init__(network, agents, config)
         self.optimizer = None
+        self.tally = Tally((*FIGURES, "step_length"), network.std_scale.device)
 
-    def update(self, share: Share, decay: float, rng: torch.Generator, figures: Figures) -> None:
+    def update(self, share: Share, decay: float, dice: torch.Generator, run: Run) -> None:
         """Step by √(2δ / s·Hs) · s, s = H⁻¹ ∇L, shortened until it brings what it promised and KL stays below δ.
 
         L is the mean of ratio · M·Â, H the Hessian of KL(π_before ‖ π) with its damping. Where no try is good enough
-        the policy stays as it is. `decay` and `rng` are for other learners.
+        the policy stays as it is. How often it tries hangs on numbers that it reads, so no graph replays it: `decay`,
+        `dice` and `run` are for other learners.
         """
+        part, taught = parts(share.valid)
+        if not taught:
+            return
         c, parameters = self.config.trust_region, list(self.network.parameters())
         before = _detached(self.network.gaussian(share.observations))
 
         def gain() -> Tensor:
-            log_ratio = self.network(share.observations).log_prob(share.actions).sum(-1) - share.log_probs
-            return (torch.exp(log_ratio) * share.MA).mean()
+            return (self._ratio(share) * share.MA * part).sum()
 
         def divergence() -> Tensor:
-            return kl_divergence(before, self.network.gaussian(share.observations)).sum(-1).mean()
+            return kl_divergence(before, self.network.gaussian(share.observations)).sum(-1).mul(part).sum()
 
         def hessian(vector: Tensor) -> Tensor:
             slope = _flat(torch.autograd.grad(divergence(), parameters, create_graph=True))
@@ -57,13 +62,17 @@ class TrustRegionLearner(ActorLearner):
             else:
                 length, moved = 0.0, torch.zeros_like(moved)
                 _place(parameters, start)
-            policy = self.network(share.observations)
-            ratio = torch.exp(policy.log_prob(share.actions).sum(-1) - share.log_probs).mean()
-            entropy = policy.entropy().sum(-1).mean()
-        note(
-            figures, policy_loss=-at_start, entropy=entropy, ratio=ratio, kl=moved, actor_grad_norm=gradient.norm(),
+            ratio = (self._ratio(share) * part).sum()
+            entropy = (self.network(share.observations).entropy().sum(-1) * part).sum()
+        self.tally.note(
+            taught, policy_loss=-at_start, entropy=entropy, ratio=ratio, kl=moved, actor_grad_norm=gradient.norm(),
             step_length=torch.as_tensor(length, device=moved.device),
         )  # fmt: skip
+
+    def _ratio(self, share: Share) -> Tensor:
+        """(B,) Of the densities now and of the policy that acted."""
+        log_ratio = self.network(share.observations).log_prob(share.actions).sum(-1) - share.log_probs
+        return torch.exp(log_ratio.masked_fill(~share.valid, 0.0))
 
 
 def conjugate_gradient(product: Callable[[Tensor], Tensor], b: Tensor, iterations: int) -> Tensor:

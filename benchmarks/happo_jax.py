@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from jax import Array
 
-from agents.batch import Batch, Share
-from agents.happo import Learner
+from agents.batch import Batch
+from agents.happo import Learner, draw_seed
+from agents.optimise import orders
 from agents.settings import VARIANCE_FLOOR, HappoConfig
 
 Params = dict[str, Array]
@@ -35,6 +36,15 @@ class Network(NamedTuple):
     steps: Array  # ()
 
 
+class Share(NamedTuple):
+    """What an actor learns from, as `agents.batch.Share`, where every decision counts."""
+
+    observations: Array  # (B, obs)
+    actions: Array  # (B, act)
+    log_probs: Array  # (B,) of the policy that acted
+    MA: Array  # (B,) M·Â
+
+
 class Team(NamedTuple):
     """All that an update changes."""
 
@@ -51,6 +61,8 @@ def team_of(learner: Learner) -> Team:
         raise ValueError("the update in JAX knows plain Gaussian policies and HAPPO only")
     if c.share_actors or c.normalise_observations or c.kl_stop or c.kl_step or c.decay_steps or not c.value_norm:
         raise ValueError("the update in JAX knows the default learner only")
+    if c.precision != "float32":
+        raise ValueError("the update in JAX computes in float32 only")
     if c.critic_input == "all" or not c.fixed_order:
         raise ValueError("the update in JAX knows agents in a fixed order and a critic of its own team only")
     norm = jnp.stack([jnp.asarray(state[f"value_norm.{k}"]) for k in ("mean_sum", "square_sum", "weight")])
@@ -77,14 +89,14 @@ def batch_of(batch: Batch) -> Batch:
 
 def permutations_of(learner: Learner, size: int) -> Array:
     """(agents + 1, epochs, B) The permutations that the learner's next update will draw: each actor's, the critic's."""
-    dice = torch.Generator()
-    dice.set_state(learner.rng.get_state())
-    drawn = [
-        torch.randperm(size, generator=dice).numpy()
+    rng, dice = torch.Generator(), torch.Generator(learner.device)
+    rng.set_state(learner.rng.get_state())
+    dice.manual_seed(draw_seed(rng))
+    critic, *actors = (
+        np.stack([order.cpu().numpy() for order in orders(size, learner.config.epochs, dice)])
         for _ in range(len(learner.actors) + 1)
-        for _ in range(learner.config.epochs)
-    ]
-    return jnp.asarray(np.reshape(drawn, (len(learner.actors) + 1, learner.config.epochs, size)))
+    )
+    return jnp.asarray(np.stack([*actors, critic]))
 
 
 def gap(one: Team, other: Team) -> float:

@@ -9,7 +9,8 @@ decisions/s. The rows:
 
 - rollout: rollout of the learning policies of all teams / the bare engine that replays the same controls
 - training: rollout and updates of all teams / that rollout alone
-- busy: seconds of one team's update / seconds of GPU kernels within it, as torch's profiler has them (GPU only)
+- busy: seconds of one team's update / seconds of GPU kernels within it, as torch's profiler has them (GPU only);
+  kernels that run at the same time all count, so the ratio may be below 1
 - jax: seconds of one team's update / those of the same update in plain JAX, compiled whole (benchmarks/happo_jax.py),
   and how far apart the two end from the same parameters, batch and permutations
 - opponents: rollout and one team's update against K frozen opponents / against one

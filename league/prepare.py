@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 CPU_WORLDS, GPU_WORLDS = 256, 2048  # below 2,000 worlds a GPU waits for launches; more on a CPU make updates rarer
 MEMORY_SHARE = 0.8  # of the machine's, for one batch of experience with what learning makes of it
-COPIES = 3  # of each number in a batch: as collected, handed over to torch, and in the minibatch with its gradients
+COPIES = 4  # of each number in a batch: as collected, cleaned, in what an actor learns from, and in the order of a pass
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,15 @@ from torch import Tensor
 from agents.actors import surrogate_loss
 from agents.batch import Share
 from agents.critics import value_loss
+from agents.graphs import Plainly
 from agents.happo import Learner
 from agents.networks import Actor, Critic
+from agents.optimise import means, parts
 from agents.settings import Architecture, HappoConfig, TrustRegion
 from agents.trust_region import conjugate_gradient
 
 CONFIG = HappoConfig(Architecture((5,)), entropy=0.1, clip=0.2, huber_delta=0.7)
+EVERY, EQUALLY = torch.ones(40, dtype=torch.bool), torch.full((40,), 1 / 40).double()  # rows that count, and how much
 ARCHITECTURES = {
     "plain": Architecture((5,)),
     "elu, layer norm": Architecture((5, 4), "elu", layer_norm=True),
@@ -61,11 +64,11 @@ def test_an_actor_follows_the_slope_of_its_loss(architecture, scramble):
         if architecture.squash:
             actions = architecture.squash * torch.tanh(actions / architecture.squash)
         old = actor(obs).log_prob(actions).sum(-1) + 0.3 * normal(40)
-    share = Share(obs, actions, old, normal(40))
+    share = Share(obs, actions, old, normal(40), EVERY)
     with torch.no_grad():
         ratio = (actor(obs).log_prob(actions).sum(-1) - old).exp()
     assert 0.2 < float(((ratio - 1).abs() > 0.2).double().mean()) < 0.8  # clipped and not
-    assert_gradient(actor, lambda: surrogate_loss(actor, share, CONFIG)[0])
+    assert_gradient(actor, lambda: surrogate_loss(actor, share, EQUALLY, CONFIG)[0])
 
 
 def test_a_critic_follows_the_slope_of_its_loss():
@@ -74,7 +77,38 @@ def test_a_critic_follows_the_slope_of_its_loss():
         critic = Critic([4, 2], Architecture((5,), "elu")).double()
         seen, target = torch.randn(40, 6).double(), 1.5 * torch.randn(40).double()
     old = critic(seen).detach() + 0.3 * torch.linspace(-1, 1, 40).double()
-    assert_gradient(critic, lambda: value_loss(critic, seen, old, target, CONFIG))
+    assert_gradient(critic, lambda: value_loss(critic, seen, old, target, EQUALLY, CONFIG))
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES.values(), ids=ARCHITECTURES)
+def test_rows_that_do_not_count_have_no_part_in_a_gradient(architecture, scramble):
+    """They are not there, as far as losses, figures and gradients go; even where a density overflows."""
+    actor: Actor = scramble(0, architecture, observations=6)
+    rng = torch.Generator().manual_seed(1)
+    share = Share(
+        *(torch.randn(shape, generator=rng) for shape in ((40, 6), (40, 2), 40, 40)), torch.arange(40) % 3 > 0
+    )
+    kept = Share(*(x[share.valid] for x in share))
+    share.log_probs[~share.valid] = -300.0
+    found = {}
+    for rows in (share, kept):
+        loss, figures = surrogate_loss(actor, rows, parts(rows.valid)[0], CONFIG)
+        found[len(rows.valid)] = [loss, *figures.values(), *torch.autograd.grad(loss, list(actor.parameters()))]
+    assert sum(float(g.abs().sum()) for g in found[26][4:]) > 0.1
+    torch.testing.assert_close(found[40], found[26], rtol=1e-5, atol=1e-6)
+
+
+def test_a_value_that_does_not_count_has_no_part_in_a_gradient():
+    critic, rng = Critic([6], Architecture((5,))), torch.Generator().manual_seed(1)
+    rows = [torch.randn(shape, generator=rng) for shape in ((40, 6), 40, 40)]
+    valid = torch.arange(40) % 3 > 0
+    losses = [
+        value_loss(critic, *rows, parts(valid)[0], CONFIG),
+        value_loss(critic, *(x[valid] for x in rows), torch.full((26,), 1 / 26), CONFIG),
+    ]
+    weighted, kept = (torch.autograd.grad(loss, list(critic.parameters())) for loss in losses)
+    assert sum(float(g.abs().sum()) for g in kept) > 0.1
+    torch.testing.assert_close(weighted, kept, rtol=1e-5, atol=1e-6)
 
 
 # The trust region -----------------------------------------------------------------------------------------------------
@@ -112,20 +146,21 @@ def test_a_step_goes_along_the_natural_gradient_as_far_as_the_divergence_allows(
         score = (actions - policy.mean) / policy.stddev**2  # ∇ log π with respect to the mean
     before = [p.detach().clone() for p in (actor.mean.weight, actor.mean.bias)]
     learner.actor_learners[0].network.parameters = lambda: iter([actor.mean.weight, actor.mean.bias])
-    figures: dict = {}
-    learner.actor_learners[0].update(Share(obs, actions, old, MA), 1.0, learner.rng, figures)
+    every = torch.ones(len(obs), dtype=torch.bool)
+    learner.actor_learners[0].update(Share(obs, actions, old, MA, every), 1.0, learner.dice, Plainly())
+    figures = means([learner.actor_learners[0].tally])
     step = torch.cat([(actor.mean.weight - before[0]).detach(), (actor.mean.bias - before[1]).detach()[:, None]], 1)
     expected = []
     for d in range(2):
         H = features.T @ features / len(obs) / float(policy.stddev[0, d]) ** 2
         g = (features * (r * score[:, d])[:, None]).mean(0)
         expected.append((torch.linalg.solve(H, g), g))
-    length = round(float(figures["step_length"][0]), 6)
+    length = round(figures["step_length"], 6)
     assert length in (1.0, 0.8)  # the longest step has a divergence of exactly what is allowed, but for rounding
     scale = float(np.sqrt(2 * 1e-4 / sum(float(s @ g) for s, g in expected)))
     for d, (s, _) in enumerate(expected):
         torch.testing.assert_close(step[d], length * scale * s, rtol=1e-6, atol=1e-12)
-    assert float(figures["kl"][0]) == pytest.approx(1e-4 * length**2, rel=1e-6)
+    assert figures["kl"] == pytest.approx(1e-4 * length**2, rel=1e-6)
 
 
 def test_no_step_leaves_the_region_and_every_step_gains(experience):

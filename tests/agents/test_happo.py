@@ -244,6 +244,23 @@ def test_nothing_but_void_decisions_is_no_update(experience, same):
     assert same(before, learner.state())
 
 
+def test_a_minibatch_in_which_nothing_counts_changes_nothing(experience):
+    """With one known decision, two of three minibatches are empty: the third does what the whole batch would."""
+    learner, whole = (new_learner(2, replace(FULL, minibatches=m, fixed_order=True)) for m in (3, 1))
+    batch = experience(learner, seed=4)
+    only = torch.ones_like(batch.void)
+    only[3, 2] = False
+    figures = [each.update(batch._replace(void=only)) for each in (learner, whole)]
+    assert figures[0] == pytest.approx(figures[1], rel=1e-5)
+    states = [each.state() for each in (learner, whole)]
+    for name in states[0].keys() - {"rng"}:
+        np.testing.assert_allclose(states[0][name], states[1][name], rtol=1e-6, atol=1e-7, err_msg=name)
+    steps = {array.item() for name, array in states[0].items() if name.endswith(".step")}
+    assert steps == {FULL.epochs}
+    assert states[0]["value_norm.weight"] == pytest.approx(2e-5, rel=1e-4)
+    assert max(worst_gap(a, b) for a, b in zip(learner.actors, new_learner(2, FULL).actors, strict=True)) > 1e-3
+
+
 def test_observation_statistics_are_those_of_all_that_was_seen(experience):
     learner = new_learner(2, FULL)
     batches = [experience(learner, seed=s, N=n) for s, n in ((5, 3), (6, 8))]

@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from agents.batch import Batch
+from agents.batch import Batch, clean
+from agents.errors import Diverged
 from agents.happo import Learner
 from agents.settings import Architecture, HappoConfig
 from league.config.build import build
@@ -165,6 +166,41 @@ def test_step_sizes_fall_to_nothing_over_the_steps_learnt_from(experience, same)
     assert same({k: mine[k] for k in theirs}, theirs)
 
 
+# Precision ------------------------------------------------------------------------------------------------------------
+
+
+def test_half_the_digits_learn_nearly_the_same(experience):
+    full, half = (new_learner(replace(FULL, precision=p)) for p in ("float32", "bf16"))
+    fresh = new_learner(FULL)
+    for seed in range(2):
+        batch = experience(full, seed=seed, void=0.1)
+        told = [each.update(batch) for each in (full, half)]
+    assert told[1] == pytest.approx(told[0], rel=0.15, abs=0.05)
+    for ours, exact, start in zip(half.actors, full.actors, fresh.actors, strict=True):
+        assert 0 < gap(ours, exact) < 0.3 * gap(start, exact)
+    assert {array.dtype for name, array in half.state().items() if ".weight" in name} == {np.dtype(np.float32)}
+
+
+def test_tf32_is_for_the_update_alone(experience, same, monkeypatch):
+    matmul, seen = torch.backends.cuda.matmul, []
+    before = matmul.fp32_precision
+    exact, coarse = (new_learner(replace(FULL, precision=p)) for p in ("float32", "tf32"))
+    batch = experience(exact, seed=1)
+    for learner in (exact, coarse):
+        learn = learner.critic_learners[0].learn
+        monkeypatch.setattr(
+            learner.critic_learners[0], "learn", lambda *x, learn=learn: (seen.append(matmul.fp32_precision), learn(*x))
+        )
+        learner.update(batch)
+        assert matmul.fp32_precision == before
+    assert seen == [before] * FULL.epochs + ["tf32"] * FULL.epochs
+    assert same(exact.state(), coarse.state())  # a CPU knows no such thing
+    batch.rewards.fill_(float("nan"))
+    with pytest.raises(Diverged):
+        coarse.update(batch)
+    assert matmul.fp32_precision == before
+
+
 # Who shares what ------------------------------------------------------------------------------------------------------
 
 
@@ -235,9 +271,10 @@ def test_a_critic_may_see_the_other_teams(experience, same):
         *batch.observations,
         *(o.where(a[..., None], 0.0) for o, a in zip(batch.others, batch.others_alive, strict=True)),
     ]
-    critique = new_learner(config, others=[3, 2]).critic_learners[0].criticise(batch, ~batch.void)
+    critique = new_learner(config, others=[3, 2]).critic_learners[0].criticise(clean(batch))
     with torch.no_grad():
-        torch.testing.assert_close(critique.predictions, network(torch.cat(seen, -1))[~batch.void])
+        sound = ~batch.void.flatten()
+        torch.testing.assert_close(critique.predictions[sound], network(torch.cat(seen, -1))[~batch.void])
     assert np.isfinite(list(figures.values())).all()
 
 
@@ -344,6 +381,7 @@ def test_shared_and_single_actors_go_on_from_each_other(experience):
 @pytest.mark.parametrize(
     ("learner", "says"),
     [
+        ({"precision": "float16"}, "learner.precision"),
         ({"method": "a2c"}, "learner.method"),
         ({"method": "ippo", "critic_input": "all"}, "ippo's critics see what their own agents see"),
         ({"method": "hatrpo", "kl_stop": 0.01}, "learner.kl_stop"),

@@ -1,4 +1,7 @@
-"""What all variants must leave as it is: plain HAPPO, written straight down, gives the same bits as the learner."""
+"""What all variants must leave as it is: plain HAPPO, written straight down, learns what the learner learns.
+
+Here what counts for nothing is left out by index; the learner, whose shapes must not depend on it, gives it no weight.
+"""
 
 import copy
 from dataclasses import replace
@@ -8,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.batch import Batch
-from agents.happo import Learner
+from agents.happo import Learner, draw_seed
 from agents.returns import advantages
 from agents.settings import Architecture, HappoConfig
 
@@ -25,7 +28,7 @@ class Plain:
     def __init__(self, learner: Learner):
         (critic,) = learner.critic_learners
         self.actors, self.critic, self.norm = copy.deepcopy((learner.actors, critic.network, critic.value_norm))
-        self.rng = torch.Generator()
+        self.rng, self.dice = torch.Generator(), torch.Generator()
         self.rng.set_state(learner.rng.get_state())
         self.c = c = learner.config
         self.adams = [torch.optim.Adam(a.parameters(), c.lr, eps=1e-5, foreach=True) for a in self.actors]
@@ -33,6 +36,7 @@ class Plain:
 
     def update(self, batch: Batch) -> None:
         c, valid = self.c, ~batch.void
+        self.dice.manual_seed(draw_seed(self.rng))
         with torch.no_grad():
             team, following = (
                 torch.cat([o.where(a[..., None], 0.0) for o, a in zip(obs, alive, strict=True)], -1)
@@ -47,6 +51,15 @@ class Plain:
             R, said, team = A + V[valid], said[valid], team[valid]
             somebody = torch.stack(list(batch.alive)).any(0)[valid]
             A_hat = (A - A[somebody].mean()) / (A[somebody].std(correction=0) + 1e-5)
+        for k in self.splits(valid.flatten()):
+            self.see(R[k])
+            target, value = self.norm.normalise(R[k]), self.critic(team[k])
+            held = said[k] + (value - said[k]).clamp(-c.clip, c.clip)
+            losses = [
+                nn.functional.huber_loss(v, torch.zeros_like(v), reduction="none", delta=c.huber_delta)
+                for v in (target - value, target - held)
+            ]
+            self.step(self.critic, self.critic_adam, torch.max(*losses).mean())
         M, n = torch.ones_like(A), len(self.actors)
         for i in range(n) if c.fixed_order else torch.randperm(n, generator=self.rng).tolist():
             rows, own, actor = batch.alive[i][valid], batch.alive[i] & valid, self.actors[i]
@@ -56,26 +69,26 @@ class Plain:
             )
             with torch.no_grad():
                 before = actor(obs).log_prob(acts).sum(-1)
-            for k in self.splits(len(obs)):
+            for k in self.splits(own.flatten()):
                 policy = actor(obs[k])
                 r = torch.exp(policy.log_prob(acts[k]).sum(-1) - old[k])
                 gain = torch.min(r * MA[k], r.clamp(1 - c.clip, 1 + c.clip) * MA[k]).mean()
                 self.step(actor, self.adams[i], -gain - c.entropy * policy.entropy().sum(-1).mean())
             with torch.no_grad():
                 M[rows] *= torch.exp(actor(obs).log_prob(acts).sum(-1) - before)
-        for k in self.splits(len(team)):
-            self.norm.update(R[k])
-            target, value = self.norm.normalise(R[k]), self.critic(team[k])
-            held = said[k] + (value - said[k]).clamp(-c.clip, c.clip)
-            losses = [
-                nn.functional.huber_loss(v, torch.zeros_like(v), reduction="none", delta=c.huber_delta)
-                for v in (target - value, target - held)
-            ]
-            self.step(self.critic, self.critic_adam, torch.max(*losses).mean())
 
-    def splits(self, size: int) -> list[Tensor]:
-        parts = [torch.randperm(size, generator=self.rng).chunk(self.c.minibatches) for _ in range(self.c.epochs)]
-        return [k for part in parts for k in part]
+    def splits(self, counts: Tensor) -> list[Tensor]:
+        """Minibatches of all B rows, of which those that count are kept, as numbers among these."""
+        number, size = counts.cumsum(0) - 1, len(counts)
+        passes = [torch.randperm(size, generator=self.dice).chunk(self.c.minibatches) for _ in range(self.c.epochs)]
+        kept = [number[part[counts[part]]] for parts in passes for part in parts]
+        return [k for k in kept if len(k)]
+
+    def see(self, R: Tensor) -> None:
+        """The value normaliser's sums fade by β."""
+        sums = (self.norm.mean_sum, R.mean()), (self.norm.square_sum, (R**2).mean()), (self.norm.weight, 1.0)
+        for kept, new in sums:
+            kept.mul_(self.norm.beta).add_((1 - self.norm.beta) * new)
 
     def step(self, module: nn.Module, adam: torch.optim.Adam, loss: Tensor) -> None:
         adam.zero_grad()
@@ -87,7 +100,7 @@ class Plain:
 @pytest.mark.parametrize(
     "config", [DEFAULT, PAPER, replace(DEFAULT, minibatches=3)], ids=["default", "paper", "uneven"]
 )
-def test_the_default_learner_is_plain_happo_to_the_last_bit(config, experience):
+def test_the_default_learner_is_plain_happo(config, experience):
     learner = Learner([4, 3, 5], [2, 1, 3], config, seed=3)
     plain = Plain(learner)
     for seed in range(3):
@@ -99,7 +112,7 @@ def test_the_default_learner_is_plain_happo_to_the_last_bit(config, experience):
     modules = [*zip(plain.actors, learner.actors, strict=True), (plain.critic, learner.critic_learners[0].network)]
     for ours, theirs in (*modules, (plain.norm, learner.critic_learners[0].value_norm)):
         for name, tensor in ours.state_dict().items():
-            assert torch.equal(tensor, theirs.state_dict()[name]), name
+            torch.testing.assert_close(tensor, theirs.state_dict()[name], atol=1e-6, rtol=1e-6, msg=name)
     assert torch.equal(plain.rng.get_state(), learner.rng.get_state())
     fresh = Learner([4, 3, 5], [2, 1, 3], config, seed=3)
     assert not torch.equal(fresh.actors[2].mean.weight, learner.actors[2].mean.weight)

@@ -3,6 +3,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from agents.optimise import parts
 from agents.returns import ValueNorm, advantages
 
 NO = [False] * 4
@@ -58,11 +59,16 @@ def test_advantages_equal_the_sum_over_the_rest_of_the_episode():
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+def see(norm: ValueNorm, returns: torch.Tensor, valid: torch.Tensor | None = None) -> None:
+    """Update by the returns that are valid, without any other all of them."""
+    norm.update(returns, *parts(torch.ones_like(returns, dtype=torch.bool) if valid is None else valid))
+
+
 def test_value_norm_by_hand():
     norm = ValueNorm(beta=0.5)
-    norm.update(torch.tensor([2.0, 4.0]))  # mean 3, mean square 10: both halved, and so is the weight
+    see(norm, torch.tensor([2.0, 4.0]))  # mean 3, mean square 10: both halved, and so is the weight
     assert [float(x) for x in norm.statistics()] == [3.0, 1.0]
-    norm.update(torch.tensor([0.0]))  # sums 3/4 and 5/2, weight 3/4: mean 1, variance 10/3 − 1
+    see(norm, torch.tensor([0.0]))  # sums 3/4 and 5/2, weight 3/4: mean 1, variance 10/3 − 1
     mean, std = norm.statistics()
     assert float(mean) == 1.0
     assert float(std) == pytest.approx((7 / 3) ** 0.5)
@@ -75,7 +81,7 @@ def test_value_norm_has_no_bias_towards_zero_at_the_start():
     norm = ValueNorm()
     assert torch.equal(norm.normalise(returns), returns)
     assert torch.equal(norm.denormalise(returns), returns)
-    norm.update(returns)
+    see(norm, returns)
     mean, std = norm.statistics()
     assert float(mean) == pytest.approx(12.0, rel=1e-4)
     assert float(std) == pytest.approx(2.0, rel=1e-3)
@@ -83,5 +89,15 @@ def test_value_norm_has_no_bias_towards_zero_at_the_start():
 
 def test_value_norm_never_divides_by_less_than_a_tenth():
     norm = ValueNorm()
-    norm.update(torch.full((5,), 3.0))
+    see(norm, torch.full((5,), 3.0))
     assert float(norm.statistics()[1]) == pytest.approx(0.1)
+
+
+def test_value_norm_sees_what_is_valid_alone(same):
+    norm, alone = ValueNorm(beta=0.5), ValueNorm(beta=0.5)
+    see(norm, torch.tensor([2.0, 9.0, 4.0]), torch.tensor([True, False, True]))
+    see(alone, torch.tensor([2.0, 4.0]))
+    assert same(*({k: v.numpy() for k, v in each.state_dict().items()} for each in (norm, alone)))
+    before = {k: v.numpy().copy() for k, v in norm.state_dict().items()}
+    see(norm, torch.tensor([2.0, 9.0]), torch.zeros(2, dtype=torch.bool))
+    assert same(before, {k: v.numpy() for k, v in norm.state_dict().items()})

@@ -1,0 +1,219 @@
+"""Replaying an update is updating: on a GPU by CUDA graphs, and here by a recorder that promises as little as they do.
+
+The recorder writes down every kernel with the very tensors that it reads and writes, and the numbers that it was given;
+a replay launches them again. What reads a number back, or copies one to the device, is refused, as CUDA refuses it.
+"""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.overrides import TorchFunctionMode
+from torch.utils import _pytree as pytree
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from agents import graphs
+from agents.batch import Batch
+from agents.happo import Learner
+from agents.settings import Architecture, HappoConfig
+
+BASE = HappoConfig(
+    Architecture((6,)), lr=0.01, critic_lr=0.02, epochs=3, minibatches=3, normalise_observations=True, max_grad_norm=0.5
+)
+VARIANTS = {
+    "happo": {},
+    "mappo": {"method": "mappo"},
+    "ippo": {"method": "ippo"},
+    "hatrpo": {"method": "hatrpo"},
+    "shared": {"share_actors": True},
+    "kl_stop": {"kl_stop": 0.02},
+    "kl_step": {"kl_step": 0.01},
+    "decay": {"decay_steps": 400},
+    "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
+    "bf16": {"precision": "bf16"},
+    "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
+}
+ASKS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal")
+on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+
+
+class Recorder(TorchDispatchMode):
+    """Runs kernels and writes them down; `replay` runs them once more, the first time excepted: they have just run."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.kernels: list[tuple[Any, tuple, dict, list[torch.Tensor]]] = []
+        self.fresh = True
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
+        name = func._schema.name.removeprefix("aten::")
+        if name.startswith(ASKS) or (name.startswith("index") and _by_mask(args)):
+            raise RuntimeError(f"{name} waits for the device")
+        result = func(*args, **(kwargs or {}))
+        if not func.is_view:
+            self.kernels.append((func, args, kwargs or {}, fresh(func, result)))
+        return result
+
+    @torch.no_grad()
+    def replay(self) -> None:
+        if self.fresh:
+            self.fresh = False
+            return
+        for func, args, kwargs, own in self.kernels:
+            for kept, new in zip(own, fresh(func, func(*args, **kwargs)), strict=True):
+                kept.copy_(new)
+
+
+def fresh(func: Any, result: Any) -> list[torch.Tensor]:
+    """The tensors that a kernel has made, not those that it was given."""
+    returns = func._schema.returns
+    each = zip(result if len(returns) > 1 else [result], returns, strict=True) if returns else ()
+    leaves = [x for made, about in each if about.alias_info is None for x in pytree.tree_leaves(made)]
+    return [x for x in leaves if isinstance(x, torch.Tensor)]
+
+
+def _by_mask(args: tuple) -> bool:
+    return any(isinstance(x, torch.Tensor) and x.dtype == torch.bool for x in pytree.tree_leaves(args[1:2]))
+
+
+class NoNumbers(TorchFunctionMode):
+    """Refuses what would copy numbers of the host to the device."""
+
+    def __torch_function__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
+        made = func in (torch.tensor, torch.as_tensor, torch.from_numpy)
+        if made or (func in (torch.where, torch.Tensor.where) and any(isinstance(x, (int, float)) for x in args)):
+            raise RuntimeError(f"{func.__name__} waits for the device")
+        return func(*args, **(kwargs or {}))
+
+
+def record(function: Callable[[], None], pool: object, stream: object) -> Callable[[], None]:
+    recorder = Recorder()
+    with recorder, NoNumbers():
+        function()
+    return recorder.replay
+
+
+@pytest.fixture(params=["recorder", pytest.param("cuda", marks=on_a_gpu)])
+def device(request, monkeypatch) -> str:
+    """Where learners replay: on a GPU by graphs, else by the recorder."""
+    if request.param == "recorder":
+        monkeypatch.setattr(graphs, "new_stream", lambda: "no stream")
+        monkeypatch.setattr(graphs, "new_pool", lambda: "no pool")
+        monkeypatch.setattr(graphs, "on", nullcontext)
+        monkeypatch.setattr(graphs, "wait_for", lambda stream: None)
+        monkeypatch.setattr(graphs, "record", record)
+    return "cuda" if request.param == "cuda" else "cpu"
+
+
+def pair(variant: dict, device: str) -> tuple[Learner, Learner]:
+    """Two equal learners of which the first replays."""
+    replaying, plain = (
+        Learner([4, 4, 3], [2, 2, 1], replace(BASE, **variant, graphs=on), 3, device) for on in (True, False)
+    )
+    replaying.graphs.on = True
+    return replaying, plain
+
+
+def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
+    """A batch with void decisions and agents that are out of the game."""
+    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3)
+    batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
+    alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
+    batch = batch._replace(alive=alive[:3], next_alive=alive[3:])
+    return pytree.tree_map(lambda x: x.to(learner.device), batch)
+
+
+def assert_equal(one: Learner, other: Learner) -> None:
+    theirs = other.state()
+    for name, array in one.state().items():
+        np.testing.assert_allclose(array, theirs[name], rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS)
+def test_a_replayed_update_is_an_update(variant, device, experience):
+    replaying, plain = pair(variant, device)
+    kept = replaying.state()
+    for seed, worlds in enumerate((6, 6, 6, 9, 9, 6, 9)):
+        batch = experienced(experience, plain, seed, worlds)
+        if seed == 4:  # another state under the same graphs
+            for learner in (replaying, plain):
+                learner.load(kept)
+        update = Learner.update_critic_only if seed == 2 else Learner.update
+        told, expected = update(replaying, batch), update(plain, batch)
+        assert told == pytest.approx(expected, rel=1e-5, abs=1e-6)
+        assert_equal(replaying, plain)
+    lanes = [lane for each in replaying.graphs._by_shape.values() for lane in (each, each._other)]
+    recorded = [known for lane in lanes for known in lane._known.values()]
+    assert sum(known.replay is not None for known in recorded) >= 10
+    assert any(not np.array_equal(x, kept[name]) for name, x in replaying.state().items() if name.startswith("actor"))
+    assert not plain.graphs._by_shape
+
+
+def test_what_was_recorded_sees_other_dice_advantages_and_step_sizes(device, experience):
+    """A replay that had kept any of them would still look like learning."""
+    replaying, plain = pair({"decay_steps": 10**6}, device)
+    for seed in range(4):
+        batch = experienced(experience, plain, seed, 6)
+        for learner in (replaying, plain):
+            learner.rng.manual_seed(100 + seed)
+            learner.steps.fill_(seed * 10**5)
+            learner.update(batch)
+        assert_equal(replaying, plain)
+
+
+def test_a_batch_without_any_known_decision_changes_nothing_in_a_replay(device, experience, same):
+    replaying, plain = pair({}, device)
+    batches = [experienced(experience, plain, seed, 6) for seed in range(4)]
+    for batch in batches[:3]:
+        replaying.update(batch)
+    before = replaying.state()
+    assert replaying.update(batches[3]._replace(void=torch.ones_like(batches[3].void))) == {}
+    assert same(before, replaying.state())
+
+
+def test_few_shapes_are_kept(device, experience):
+    replaying, plain = pair({}, device)
+    for worlds in (3, 4, 5, 6, 3, 7, 3):
+        batch = experienced(experience, plain, worlds, worlds)
+        for learner in (replaying, plain):
+            learner.update(batch)
+        assert_equal(replaying, plain)
+    assert [shape[1] for shape in replaying.graphs._by_shape] == [5, 6, 7, 3]
+    assert len(replaying.graphs._by_shape) == graphs.KEPT
+
+
+def test_a_function_that_gets_the_result_of_another_run_gets_always_the_same(device):
+    run = graphs.Graphs(torch.device("cuda"), on=True).of((1, 1))
+    number = torch.ones(3, device=device)
+
+    def twice(x: torch.Tensor) -> torch.Tensor:
+        return 2 * x
+
+    def negated(x: torch.Tensor) -> torch.Tensor:
+        return -x
+
+    for k in range(1, 4):
+        assert run(negated, run(twice, k * number)).tolist() == [-2.0 * k] * 3
+    with pytest.raises(RuntimeError, match="got something else"):
+        run(negated, number)
+
+
+def test_what_asks_the_device_cannot_be_recorded(device):
+    run = graphs.Graphs(torch.device("cuda"), on=True).of((1, 1))
+
+    def asking(x: torch.Tensor) -> torch.Tensor:
+        return -x if x.sum() > 0 else x
+
+    assert run(asking, torch.ones(3, device=device)).tolist() == [-1.0] * 3
+    if device == "cpu":
+        with pytest.raises(RuntimeError, match="waits for the device"):
+            run(asking, torch.ones(3))
+
+
+def test_graphs_are_for_a_gpu():
+    assert isinstance(Learner([4], [2], BASE, 0).graphs.of((8, 6)), graphs.Plainly)
+    assert isinstance(graphs.Graphs(torch.device("cuda"), on=False).of((8, 6)), graphs.Plainly)
