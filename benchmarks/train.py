@@ -33,6 +33,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
 # Not this folder, whose arenas.py would hide the package of that name.
 sys.path[0] = str(Path(__file__).resolve().parents[1])
@@ -46,6 +47,7 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 from agents.happo import Learner  # noqa: E402
+from agents.settings import Precision  # noqa: E402
 from benchmarks import happo_jax  # noqa: E402
 from benchmarks.kernels import profiled  # noqa: E402
 from benchmarks.loop import Ground, Loop, ratio, speeds, timed, turns  # noqa: E402
@@ -82,6 +84,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--arena", default="sumo-2v2")
     parser.add_argument("--engine", default="auto", help="auto, c, jax, warp")
     parser.add_argument("--worlds", type=int, nargs="+", default=[256])
+    parser.add_argument("--graphs", action="store_true", help="updates as CUDA graphs, on a GPU")
+    parser.add_argument("--precision", choices=get_args(Precision), default="float32", help="of the learner's products")
     parser.add_argument("--decisions", type=int, default=32, help="of a rollout")
     parser.add_argument("--repeats", type=int, default=8, help="turns that are timed")
     parser.add_argument("--warm", type=float, default=8.0, help="seconds of play before the first of them")
@@ -95,6 +99,7 @@ def measured(args: argparse.Namespace) -> Iterator[dict]:
     """Every row, one number of worlds after the other; those of one share arena and compiled rollout."""
     kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
     config = replace(configuration.default(args.arena), engine=args.engine)
+    config = replace(config, learner=replace(config.learner, graphs=args.graphs, precision=args.precision))
     places = [(config, worlds, [name for name in args.rows if name != "quickstart"]) for worlds in args.worlds]
     places += [(presets.quickstart(), QUICKSTART_WORLDS, [name for name in args.rows if name == "quickstart"])]
     for settings, worlds, names in places:
@@ -240,7 +245,8 @@ def of_league(ground: Ground, where: Path, seconds: int) -> dict:
         sys.executable, "-m", "league", "run", "--store", str(where), "--league", LEAGUE,
         "--arena.name", ground.arena.name, "--engine", ground.arena.engine.name, "--for", f"{seconds}s",
         "--budget.rate", "0s", "--training.worlds", str(ground.worlds),
-        "--training.rollout", str(ground.args.decisions), *flags,
+        "--training.rollout", str(ground.args.decisions), f"--learner.graphs={ground.args.graphs}",
+        "--learner.precision", ground.args.precision, *flags,
     ]  # fmt: skip
     subprocess.run(command, cwd=sys.path[0], check=True, stdout=subprocess.DEVNULL)
     with Store.open(where) as store:
