@@ -24,7 +24,7 @@ from benchmarks.replay import Pair, clocks
 from league.config.experiment import Config
 from league.policies import seat
 from league.prepare import players_of
-from league.train import Trainer
+from league.train import Trainer, beside
 
 Verb = Callable[[Worlds, Array], tuple[Worlds, Trajectory]]  # goes on from worlds by one rollout, with this key
 
@@ -64,6 +64,7 @@ class Loop:
     def __init__(self, ground: Ground, frozen: list[list[Learner]] | None = None):
         self.ground, self.learners = ground, ground.learners()
         self.learning = self.learners[:1] if frozen else self.learners
+        self._each = beside(self.learning)
         self.frozen = [[to_jax(learner.policies()) for learner in teams] for teams in frozen or []]
         self.groups = len(self.frozen) or 1
         self.worlds = ground.worlds // self.groups * self.groups
@@ -92,8 +93,8 @@ class Loop:
     def learn(self, now: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
         """A rollout and the updates after it."""
         now, trajectory = self.roll(now, key)
-        for team, learner in enumerate(self.learning):
-            learner.update(self.batch(team, trajectory))
+        batches = [self.batch(team, trajectory) for team in range(len(self.learning))]
+        list(self._each(Learner.update, self.learning, batches))
         self.seated = self._seated()
         return now, trajectory
 

@@ -6,10 +6,12 @@ act in N worlds; then each learning team updates its agents one after the other 
 critic and a value normaliser of its own. What is added: in some worlds the other teams may be past snapshots.
 """
 
+import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import jax
@@ -63,6 +65,15 @@ class PlayerDiverged(Exception):  # noqa: N818  (a sentence: "the player diverge
         self.player = player
 
 
+def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
+    """A `map` under which learners learn at the same time on a CPU's cores, which one alone does not fill.
+
+    A GPU is asked by one thread: it is busy with one update.
+    """
+    on_cpu = all(learner.device.type == "cpu" for learner in learners)
+    return ThreadPoolExecutor(os.cpu_count(), "update").map if on_cpu else map
+
+
 class Trainer:
     """One process's learners, compiled rollout and worlds. The store's checkpoints are the truth about the learners."""
 
@@ -82,6 +93,7 @@ class Trainer:
         self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
         self._rollout = Compiled(make_rollout(arena, config.training.rollout), arena)
         self._shapes = self._architectures()
+        self._each = beside(list(self.learners.values()))
 
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so.
@@ -103,9 +115,6 @@ class Trainer:
         for left in reversed(range(turn.iterations)):
             worlds, trajectory = collect(self._crews(lineup), worlds, self._key(turn, "rollout"))
             figures = self._learn(turn, trajectory, lineup)
-            if self.config.training.resting_critics:
-                for name in self._resting(turn):
-                    self.learners[name].update_critic_only(self._batch(name, trajectory, lineup))
 
             steps += lineup.worlds * self.config.training.rollout
             elapsed = time.monotonic() - began
@@ -145,28 +154,39 @@ class Trainer:
     # An iteration ----------------------------------------------------------------------------------------------------
 
     def _learn(self, turn: TrainingTurn, trajectory: Trajectory, lineup: Lineup) -> dict[str, dict[str, float]]:
-        """One HAPPO update of every learner, and what the iteration was like for each.
+        """One HAPPO update of every learner, and what the iteration was like for each; critics of who rests follow.
 
         Raises PlayerDiverged. Where no world stayed sound nobody can learn: then it is whose robots alone went bad.
         """
-        figures: dict[str, dict[str, float]] = {}
+        resting = self._resting(turn) if self.config.training.resting_critics else []
+        names = [*turn.learners, *resting]
+        batches = [self._batch(name, trajectory, lineup) for name in names]
+        figures = {
+            name: outcomes(trajectory, self.players[name].team, lineup.worlds_of(name)) for name in turn.learners
+        }
+        taught = self._each(self._update, names, batches, [name in resting for name in names])
         diverged: dict[str, object] = {}
-        for name in turn.learners:
-            figures[name] = outcomes(trajectory, self.players[name].team, lineup.worlds_of(name))
-            try:
-                losses = self.learners[name].update(self._batch(name, trajectory, lineup))
-            except Diverged as error:
-                diverged[name] = error
-                continue
-            if not losses:
-                diverged.setdefault("", f"physics became unstable in every world of {name}")
-            figures[name] |= {**losses, "past_share": lineup.past_share(name)}
+        for name, losses in zip(names, taught, strict=True):
+            if isinstance(losses, Diverged):
+                diverged[name] = losses
+            elif name in figures:
+                if not losses:
+                    diverged.setdefault("", f"physics became unstable in every world of {name}")
+                figures[name] |= {**losses, "past_share": lineup.past_share(name)}
         if "" in diverged and len(diverged) == 1:
             culprit = max(turn.learners, key=lambda name: figures[name]["own_voids"])
             raise PlayerDiverged(culprit, diverged[""])
         for name in filter(None, diverged):
             raise PlayerDiverged(name, diverged[name])
         return figures
+
+    def _update(self, name: str, batch: Batch, rests: bool) -> dict[str, float] | Diverged:
+        """A player's update, of its critic alone where it rests; it touches nothing that another player has."""
+        learner = self.learners[name]
+        try:
+            return learner.update_critic_only(batch) if rests else learner.update(batch)
+        except Diverged as error:
+            return error
 
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
         team = self.players[name].team

@@ -35,11 +35,16 @@ def arena():
     return presets.duel().arena.build(engine="c")
 
 
+def new_store(place, arena):
+    store = Store.open(place, create=True)
+    store.create_league(League(LEAGUE, ""))
+    store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
+    return store
+
+
 @pytest.fixture
 def store(tmp_path, arena):
-    with Store.open(tmp_path / "store", create=True) as store:
-        store.create_league(League(LEAGUE, ""))
-        store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
+    with new_store(tmp_path / "store", arena) as store:
         yield store
 
 
@@ -69,6 +74,16 @@ def history(store):
 
 def ends(store):
     return {name: (c.iteration, c.digest) for name, c in store.newest_checkpoints(LEAGUE).items()}
+
+
+@pytest.mark.parametrize("kind", ["simultaneous", "leapfrog"])  # in leapfrog the critic of who rests learns beside
+def test_that_players_learn_at_the_same_time_changes_no_byte(store, arena, tmp_path, monkeypatch, kind):
+    config = settings(Schedule(kind, period=1), device="cpu")
+    assert turns(store, config, arena, 2)._each is not map
+    monkeypatch.setattr("league.train.beside", lambda learners: map)
+    with new_store(tmp_path / "other", arena) as other:
+        turns(other, config, arena, 2)
+        assert ends(other) == ends(store)
 
 
 def test_simultaneously_both_learn_and_are_frozen_on_the_axis(store, arena):
