@@ -92,7 +92,10 @@ class CEngine(Engine):
         return rows
 
     def _steps(self, n: int, law: Law | None, found: Arrays, state: Arrays, model: Arrays) -> None:
-        """Fill `found`, (..., hold, size) each, with the state after each control step of `n` substeps."""
+        """Fill `found`, (..., hold, size) each, with the state after each control step of `n` substeps.
+
+        The next control step goes on from there, from float32: so a decision is to the last bit as many control steps.
+        """
         with self._lock:
             rows = self._loaded(state, model)
             worlds, hold = rows.batch.nsim, found["failed"].shape[-1]
@@ -103,7 +106,11 @@ class CEngine(Engine):
                 failed |= rows.advance(n, law, command)
                 for name, values in found.items():
                     out = values.reshape(worlds, hold, *values.shape[found["failed"].ndim :])[:, control_step]
-                    _narrow(out, failed if name == "failed" else rows.state[name])
+                    if name == "failed":
+                        out[:] = failed
+                    else:
+                        _narrow(out, rows.state[name])
+                        rows.state[name][:] = out
 
     def _fields_of(self, found: Arrays, state: Arrays, model: Arrays) -> None:
         with self._lock:
