@@ -5,9 +5,10 @@
     python benchmarks/stages.py by-team-leapfrog --store runs/stages --out benchmarks/results/by-team-leapfrog-h100.json
 
 Trains by `league run` with nothing else on the GPU, each seed in a store of its own; a stage that goes on from others
-finds their leagues in the same store. Then every snapshot plays `--episodes` fresh episodes: alone, against `idle`, or
-in a match against the other side's initial snapshot, the one that leaves the curriculum. A snapshot has succeeded where
-the lower end of its 95 % interval is above what the stage asks. The same command goes on where it was stopped.
+finds their leagues in the same store, or, by `--after`, policies that come with the league. Then every snapshot plays
+`--episodes` fresh episodes: alone, against `idle`, or in a match against the other side's initial snapshot, the one
+that leaves the curriculum. A snapshot has succeeded where the lower end of its 95 % interval is above what the stage
+asks. The same command goes on where it was stopped.
 """
 
 import argparse
@@ -82,6 +83,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path, required=True, help="the folder for the seeds' stores")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--train", help="train for so long (default: as the stage says)")
+    parser.add_argument("--after", nargs="*", help="go on from these leagues or policies (default: as the stage says)")
     parser.add_argument("--worlds", type=int, default=4096)
     parser.add_argument("--episodes", type=int, default=512, help="for each snapshot; 0: train only")
     parser.add_argument("--batch", type=int, default=8192, help="of them at once")
@@ -105,14 +107,16 @@ def main() -> None:
 def train(args: argparse.Namespace, store: Path, seed: int) -> None:
     """Train until the stage's time is over, in processes of its own."""
     stage = STAGES[args.stage]
+    after = stage.after if args.after is None else args.after
     settings = {
         "store": str(store), "league": args.stage, "arena.name": stage.arena, **LEARNER, **stage.settings,
         "training.worlds": str(args.worlds), "seed": str(seed), "budget.train": args.train or stage.train,
-        "budget.rate": "0s", **({"after": ",".join(stage.after)} if stage.after else {}),
+        "budget.rate": "0s", **({"after": ",".join(after)} if after else {}),
     }  # fmt: skip
     flags = [f"--{name}={value}" for name, value in settings.items()]
     command = [sys.executable, "-m", "league", "run", *flags, *args.flags]
-    subprocess.run(command, check=True)
+    if code := subprocess.run(command, check=False).returncode:
+        sys.exit(code)  # it has said why
 
 
 def measure(args: argparse.Namespace, where: Path) -> dict:

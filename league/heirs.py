@@ -1,5 +1,7 @@
 """Who starts from whom: how the players of a league take over actors and critics of leagues that came before it.
 
+A frozen policy that comes with the league counts as a league of one player, which has no critic to hand on.
+
 An agent goes on from an agent of its own robot's kind, of the nearest league that has one; where that has several they
 are taken in turn. An agent of a kind that nobody has trained starts afresh. A policy whose observation or action has
 other numbers is refused: that is a mistake in the settings.
@@ -8,9 +10,12 @@ other numbers is refused: that is a mistake in the settings.
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from league import exchange
 from storage import arrays
-from storage.errors import StorageError
-from storage.records import Checkpoint, Player
+from storage.errors import StorageError, UnknownName
+from storage.records import Player
 from storage.store import Store
 
 if TYPE_CHECKING:
@@ -30,6 +35,9 @@ class Heritage(NamedTuple):
 
     actors: tuple[Source | None, ...]  # for each of its agents; None starts afresh
     critic: tuple[str, str] | None  # league and player; None starts afresh, and so does the value normaliser
+
+
+FROZEN = "frozen"  # the role of a policy that comes with the league
 
 
 class Misfit(ValueError):  # noqa: N818  (a noun that says it)
@@ -82,8 +90,8 @@ def _critic(
 ) -> tuple[str, str] | None:
     owners = {(source.league, source.player) if source else None for source in actors}
     owner = owners.pop() if len(owners) == 1 else None
-    rosters = {(p.league, p.name): p.roster for league in before for p in league}
-    return owner if owner is not None and rosters[owner] == player.roster else None
+    rosters = {(p.league, p.name): p.roster for league in before for p in league if p.role != FROZEN}
+    return owner if owner is not None and rosters.get(owner) == player.roster else None
 
 
 def _of(before: Sequence[Sequence[Player]], owner: tuple[str, str]) -> tuple[Player, Sequence[Player]]:
@@ -118,15 +126,30 @@ def words(heritages: Mapping[str, Heritage]) -> list[str]:
     return lines
 
 
+def forerunners(store: Store, named: Sequence[str]) -> list[Sequence[Player]]:
+    """The players of each: of that league of the store, else of the policy of that name that comes with the league.
+
+    Raises UnknownName where it is neither.
+    """
+    leagues, policies = {league.name for league in store.leagues()}, exchange.trained()
+    for name in named:
+        if name not in leagues and name not in policies:
+            raise UnknownName("league or trained policy", name, [*leagues, *policies])
+    return [store.players(name) if name in leagues else [_frozen(name)] for name in named]
+
+
+def _frozen(name: str) -> Player:
+    about = exchange.read(exchange.find(name)).about
+    return Player(name, about["name"], 0, FROZEN, about["roster"])
+
+
 def of(store: Store, players: Sequence[Player], after: Sequence[str], critic_input: str = "own") -> dict[str, Heritage]:
     """What the players of a league start from, by what the store holds of the leagues named in `after`.
 
-    Raises UnknownName for a league that is not there, Misfit as `heritage` does.
+    Raises UnknownName as `forerunners` does, Misfit as `heritage`.
     """
-    for league in after:
-        store.league(league)
     order = sorted(players, key=lambda p: (p.role != "main", p.team, p.name))
-    return heritage(order, [store.players(league) for league in after], critic_input)
+    return heritage(order, forerunners(store, after), critic_input)
 
 
 def start(store: Store, learner: "Learner", heritage: Heritage) -> str | None:
@@ -135,18 +158,30 @@ def start(store: Store, learner: "Learner", heritage: Heritage) -> str | None:
     Raises StorageError where a player has no checkpoint yet, or one that is damaged or of another network.
     """
     owners = dict.fromkeys((s.league, s.player) for s in heritage.actors if s)
-    kept = {owner: _checkpoint(store, *owner) for owner in owners}
-    read = {owner: arrays.from_bytes(store.blobs.get(at.digest)) for owner, at in kept.items()}
-    actors = [(read[source[:2]], source.agent) if source else None for source in heritage.actors]
+    kept = {owner: _state(store, *owner) for owner in owners}
+    actors = [(kept[source[:2]][1], source.agent) if source else None for source in heritage.actors]
     try:
-        learner.inherit(actors, read[heritage.critic] if heritage.critic else None)
+        learner.inherit(actors, kept[heritage.critic][1] if heritage.critic else None)
     except ValueError as error:
         raise StorageError(f"cannot go on from {' and '.join(f'{a} {b}' for a, b in owners)}: {error}") from None
-    return next((f"{league}/{player}@{at.iteration}" for (league, player), at in kept.items()), None)
+    return next((name for name, _ in kept.values()), None)
 
 
-def _checkpoint(store: Store, league: str, player: str) -> Checkpoint:
+def _state(store: Store, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
+    """A forerunner's name and its learner's state; of a frozen policy only what an actor takes over."""
+    if league not in {known.name for known in store.leagues()}:
+        return f"{league}/{player}", _thawed(exchange.read(exchange.find(league)))
     kept = store.checkpoint(league, player)
     if kept is None:
         raise StorageError(f"player {player} of league {league} has no checkpoint to start from")
-    return kept
+    return f"{league}/{player}@{kept.iteration}", arrays.from_bytes(store.blobs.get(kept.digest))
+
+
+def _thawed(policy: exchange.Policy) -> dict[str, np.ndarray]:
+    """A frozen policy's actors as in a learner's state. Where it normalises what it sees, its statistics weigh as much
+    as the decisions that it learnt from in its last league, so that a first batch does not overthrow them.
+    """
+    state = {f"actor.{name.replace('/', '.', 1)}": array for name, array in policy.arrays.items()}
+    clips = [policy.arrays[f"{i}/trunk.observation_clip"] for i in range(policy.about["roster"].count("+") + 1)]
+    counts = [policy.about["steps"] if np.isfinite(clip) else 0 for clip in clips]
+    return {**state, "observation_counts": np.asarray(counts, np.float32)}

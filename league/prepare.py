@@ -22,7 +22,7 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
-from league.heirs import Misfit, heritage
+from league.heirs import Misfit, forerunners, heritage
 from storage.records import League, Player
 from storage.store import Store
 
@@ -191,9 +191,7 @@ def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) ->
     before = []
     if config.after:
         with Store.open(where, blobs=config.storage.blobs) as store:
-            for league in config.after:
-                store.league(league)
-                before.append(store.players(league))
+            before.extend(forerunners(store, config.after))
     for number, players in enumerate(stages):
         try:
             heritage(players, before)

@@ -61,7 +61,8 @@ class Config:
     storage: Storage = field(default_factory=Storage)
     """What the store keeps, and where."""
     after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_name, names)]})
-    """Leagues of this store from whose newest policies the players here start, the nearest first."""
+    """Leagues of this store, or policies that come with the league, from which the players here start; the nearest
+    first."""
     stages: tuple[parts.Stage, ...] = field(default=(), metadata={"apart": True})
     """A curriculum: tables [[stages]] with what differs from the settings above, walked in their order."""
 

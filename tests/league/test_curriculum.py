@@ -8,12 +8,13 @@ import pytest
 
 from agents.happo import Learner
 from agents.settings import Architecture, HappoConfig
-from league import curriculum, heirs
+from league import curriculum, exchange, heirs
 from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
 from league.heirs import Heritage, Misfit, Source
 from storage import arrays
+from storage.errors import UnknownName
 from storage.records import Player
 from storage.store import Store
 from tests.league.conftest import ROOT, call, start, wait_for
@@ -139,6 +140,33 @@ def test_who_has_no_forerunner_starts_afresh_and_that_is_said():
     found = heirs.heritage(DROVE, [PUSHED, WALKED])
     assert set(found.values()) == {Heritage((None,), None)}
     assert heirs.words(found) == [f"{name}: actors start afresh; critic starts afresh" for name in ("blue", "red")]
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store.open(tmp_path, create=True) as store:
+        yield store
+
+
+def test_a_policy_that_comes_with_the_league_is_a_forerunner(store):
+    policy = exchange.read(exchange.find("anymal-push"))
+    (pushed,), again = heirs.forerunners(store, ["anymal-push"]), player("new", "blue", 0, DOG)
+    assert pushed[0].roster == DOG
+    (found,) = heirs.of(store, [again], ["anymal-push"]).values()
+    assert found == Heritage((Source("anymal-push", policy.about["name"], 0),), None)
+    theirs = Learner((56,), (12,), HappoConfig(Architecture((128, 128, 128), "elu"), normalise_observations=True), 1)
+    ours, name = theirs.state(), heirs.start(store, theirs, found)
+    assert name == f"anymal-push/{policy.about['name']}"
+    for key, array in theirs.policies()[0].items():
+        np.testing.assert_array_equal(array, policy.arrays[f"0/{key}"], err_msg=key)
+    now = theirs.state()
+    assert now["observation_counts"].tolist() == [policy.about["steps"], 0]
+    np.testing.assert_array_equal(now["critic.value.weight"], ours["critic.value.weight"])
+
+
+def test_who_should_go_on_from_nothing_that_is_there_is_told_what_is(store):
+    with pytest.raises(UnknownName, match=r"no league or trained policy 'anymal-psh' here.*mean 'anymal-push'"):
+        heirs.forerunners(store, ["anymal-psh"])
 
 
 def test_a_policy_of_other_numbers_is_refused():
