@@ -72,6 +72,9 @@ STAGES = {
     "push-leatherback": Stage("block-push-leatherback", "15m", 0.8, (), PUSH, "idle"),
     "by-team-simultaneous": Stage("sumo-by-team", "30m", 0.86, BLOCKS, MATCH, "initial"),
     "by-team-leapfrog": Stage("sumo-by-team", "30m", 0.86, BLOCKS, MATCH | TURNS, "initial"),
+    "galaga-aim": Stage("galaga-aim-1v1", "5m", 0.9),
+    "galaga-fly": Stage("galaga-fly-1v1", "5m", 0.9),
+    "galaga-leapfrog": Stage("galaga-1v1", "15m", 0.92, ("galaga-aim", "galaga-fly"), MATCH | TURNS, "initial"),
 }
 
 
