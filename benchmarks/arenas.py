@@ -164,8 +164,8 @@ def measure(args: argparse.Namespace, name: str, engine: str, worlds: int) -> di
         "decisions": args.repeats * args.decisions * worlds, "ends": ends, "memory": memory(),
     }  # fmt: skip
     if args.kernels and jax.default_backend() != "cpu":
-        seen_there = profiled(partial(pair.alone.seconds, play))
-        found["kernels"] = seen_there | {"by_name": dict(list(seen_there["by_name"].items())[: args.kernels])}
+        kernels = profiled(partial(pair.alone.seconds, play))
+        found["kernels"] = kernels | {"by_name": dict(list(kernels["by_name"].items())[: args.kernels])}
     if not args.no_caps:
         errors = cap_errors(arena, play, CAPS)
         found["caps"] = [

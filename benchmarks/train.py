@@ -84,7 +84,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--arena", default="sumo-2v2")
     parser.add_argument("--engine", default="auto", help="auto, c, jax, warp")
     parser.add_argument("--worlds", type=int, nargs="+", default=[256])
-    parser.add_argument("--graphs", action="store_true", help="updates as CUDA graphs, on a GPU")
+    parser.add_argument("--no-graphs", dest="graphs", action="store_false", help="launch every kernel by itself")
     parser.add_argument("--precision", choices=get_args(Precision), default="float32", help="of the learner's products")
     parser.add_argument("--decisions", type=int, default=32, help="of a rollout")
     parser.add_argument("--repeats", type=int, default=8, help="turns that are timed")

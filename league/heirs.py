@@ -126,16 +126,16 @@ def words(heritages: Mapping[str, Heritage]) -> list[str]:
     return lines
 
 
-def forerunners(store: Store, named: Sequence[str]) -> list[Sequence[Player]]:
+def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:
     """The players of each: of that league of the store, else of the policy of that name that comes with the league.
 
     Raises UnknownName where it is neither.
     """
-    leagues, policies = {league.name for league in store.leagues()}, exchange.trained()
+    leagues = {league.name: store for league in store.leagues()} if store else {}
     for name in named:
-        if name not in leagues and name not in policies:
-            raise UnknownName("league or trained policy", name, [*leagues, *policies])
-    return [store.players(name) if name in leagues else [_frozen(name)] for name in named]
+        if name not in leagues and name not in exchange.trained():
+            raise UnknownName("league or trained policy", name, [*leagues, *exchange.trained()])
+    return [leagues[name].players(name) if name in leagues else [_frozen(name)] for name in named]
 
 
 def _frozen(name: str) -> Player:

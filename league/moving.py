@@ -16,6 +16,7 @@ from league.config.schema import ConfigError, Key, literal
 from league.config.sections import check_name
 from league.config.toml_lines import key_lines
 from league.course import course, stages_of
+from league.exchange import trained
 from league.versions import versions
 from storage import moving
 from storage.archive import Archive, Writer
@@ -108,7 +109,8 @@ def needed(store: Store, names: Sequence[str]) -> list[str]:
         if walk := course(store, name):
             left += [walk.root, *(stage for each in walk.stages if (stage := f"{walk.root}.{each}") in there)]
         with suppress(tomllib.TOMLDecodeError, TypeError):
-            left += [str(each) for each in tomllib.loads(there[name]).get("after", ())]
+            after = map(str, tomllib.loads(there[name]).get("after", ()))
+            left += [each for each in after if each in there or each not in trained()]
     return [name for name in there if name in found]
 
 

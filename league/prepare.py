@@ -10,7 +10,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from league.config.experiment import Config
 from league.config.schema import ConfigError, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.heirs import Misfit, forerunners, heritage
+from storage.errors import NotAStore
 from storage.records import League, Player
 from storage.store import Store
 
@@ -188,10 +189,7 @@ def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list
 
 def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) -> None:
     """Each stage's players must fit those from which they start; those of earlier stages are not there yet."""
-    before = []
-    if config.after:
-        with Store.open(where, blobs=config.storage.blobs) as store:
-            before.extend(forerunners(store, config.after))
+    before = _forerunners(where, config)
     for number, players in enumerate(stages):
         try:
             heritage(players, before)
@@ -200,6 +198,15 @@ def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) ->
             told = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.after)}"
             raise ConfigError(key, f"{told}: {error}") from None
         before.insert(0, players)
+
+
+def _forerunners(where: str, config: Config) -> list[Sequence[Player]]:
+    """The players of what is named in `after`; a store that is not there yet has none."""
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            return forerunners(store, config.after)
+    except NotAStore:
+        return forerunners(None, config.after)
 
 
 def _built(config: Config) -> "Arena":

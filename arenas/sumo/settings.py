@@ -36,10 +36,10 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    # Most seen in a world of four, scripted: rovers 28 contacts and 112 rows, ANYmals 18 and 72 (26 and 104 when they
-    # flail at random), two of each 32 contacts; 99.99 % of substeps have 27 and 110, 17 and 68, 23 and 95. In a world
-    # of two: 15 and 60. A world that needs more rows than it has is void; contacts are one pool of all worlds, of which
-    # they take 10 each in the mean.
+    # Most seen in a world of four, scripted: rovers 28 contacts and 112 rows, ANYmals 27 and 112, two of each 32
+    # contacts and 113 rows; 99.99 % of substeps have 27 and 110, 26 and 107, 24 and 96. In a world of two: 15 and 60.
+    # A world that needs more rows than it has is void; contacts are one pool of all worlds, of which they take 10 each
+    # in the mean.
     "leatherback": Kind(hull=0.59, contacts=7, rows=28, feels=2, acts=2),
     "anymal": Kind(hull=1.18, contacts=7, rows=28, feels=45, acts=12),
     "minitank": Kind(hull=0.50, contacts=7, rows=28, feels=6, acts=2),  # twice its barrel's length

@@ -69,7 +69,8 @@ def _walk(store: Store, task: Task, config: Config, leads: Callable[[], None]) -
         last = number == len(config.stages) - 1
         if last or curriculum.ended(stage, standing) is None:
             prepared = prepare(task.where, stage)
-            print(_heading(store, config, stage, number), flush=True)
+            ends = f"it ends {curriculum.until(stage)}"
+            print(f"Stage {number + 1} of {len(config.stages)}, {config.stages[number].name}: {ends}.", flush=True)
             if _run(store, task.where, stage, prepared, leads) == "stopped":
                 return
             leads, standing = (lambda: None), curriculum.standing(store, stage)
@@ -82,15 +83,11 @@ def _walk(store: Store, task: Task, config: Config, leads: Callable[[], None]) -
         print(f"\n{summary(stage, standing)}" if last else f"Stage {config.stages[number].name} has ended: {why}.\n")
 
 
-def _heading(store: Store, config: Config, stage: Config, number: int) -> str:
-    """Which stage begins, what will end it, and what its players start from."""
-    name, players = config.stages[number].name, store.players(stage.league)
-    lines = [f"Stage {number + 1} of {len(config.stages)}, {name}: it ends {curriculum.until(stage)}."]
-    if stage.after and not store.newest_checkpoints(stage.league):
-        lines += [
-            f"  {line}" for line in heirs.words(heirs.of(store, players, stage.after, stage.learner.critic_input))
-        ]
-    return "\n".join(lines)
+def _beginnings(store: Store, config: Config) -> list[str]:
+    """What the players of a new league start from, where others came before it."""
+    if not config.after or store.newest_checkpoints(config.league):
+        return []
+    return heirs.words(heirs.of(store, store.players(config.league), config.after, config.learner.critic_input))
 
 
 class _Teller:
@@ -107,7 +104,8 @@ class _Teller:
             text = configuration.dumps(self.config)
             self.store.set_config(self.config.league, text)
             self.store.start_run(self.config.league, text, socket.gethostname(), versions())
-            print(_greeting(self.config, self.prepared, self.store.where), flush=True)
+            told = [f"  {line}" for line in _beginnings(self.store, self.config)]
+            print("\n".join([_greeting(self.config, self.prepared, self.store.where), *told]), flush=True)
             self.leads()
         self.ticker(*how)
 

@@ -22,7 +22,7 @@ from league.config import experiment as configuration
 from league.query import Open
 from storage import archive as archives
 from storage import tables as t
-from storage.errors import StorageError
+from storage.errors import StorageError, UnknownName
 from storage.records import Checkpoint, CurvePoint, Job, League, Match, Phase, Player, Snapshot
 from storage.store import Store
 from tests.league.conftest import ROOT, TINY, call
@@ -183,6 +183,15 @@ def test_a_league_brings_along_what_it_needs(tmp_path, name):
         assert moving.needed(store, ["base"]) == ["base"]
         done = moving.pack(store, tmp_path / "some.zip", [name])
     assert sorted(done.leagues) == ["base", "cup", "cup.push", "cup.walk"]
+
+
+def test_a_policy_that_comes_with_the_league_need_not_travel(tmp_path):
+    with curriculum(tmp_path / "source") as store:
+        store.set_config("other", 'league = "other"\nafter = ["anymal-push", "base"]\n')
+        assert sorted(moving.needed(store, ["other"])) == ["base", "other"]
+        store.set_config("other", 'league = "other"\nafter = ["anymal-psh"]\n')
+        with pytest.raises(UnknownName, match="no league 'anymal-psh'"):
+            moving.needed(store, ["other"])
 
 
 def test_a_curriculum_gets_another_name_with_its_stages(tmp_path):
