@@ -14,15 +14,21 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 COLOURS = {"blue": "#2a6be6", "red": "#e03833"}
+COLUMNS = 4
 AGAINST = {"initial": "the other side's first"}
 
 
 def main() -> None:
     """Read the files named after the first, write the picture named first."""
     files = [Path(name) for name in sys.argv[2:]]
-    figure, axes = plt.subplots(1, len(files), figsize=(4 * len(files), 3.6), layout="constrained", sharey=True)
-    for axis, file in zip(axes if len(files) > 1 else [axes], files, strict=True):
+    columns = min(len(files), COLUMNS)
+    rows = -(-len(files) // columns)
+    size = 4 * columns, 3.6 * rows
+    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", sharey=True, squeeze=False)
+    for axis, file in zip(axes.flat, files, strict=False):
         panel(axis, json.loads(file.read_text()), file.stem)
+    for axis in axes.flat[len(files) :]:
+        axis.remove()
     figure.savefig(sys.argv[1], dpi=120)
 
 

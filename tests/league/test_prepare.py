@@ -105,7 +105,8 @@ def test_a_refused_league_leaves_nothing_and_a_good_one_is_whole(tmp_path, monke
     [
         ("block-push-anymal", {}, {"anymal-push"}),
         ("block-push-anymal", {"trained": False}, set()),
-        ("block-push-leatherback", {}, set()),
+        ("block-push-leatherback", {}, {"leatherback-push"}),
+        ("sumo-1v1", {}, set()),
     ],
 )
 def test_policies_that_come_with_the_league_are_in_the_pool_of_their_arena(arena, changes, found, tmp_path):

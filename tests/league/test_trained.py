@@ -11,7 +11,12 @@ from league.jobs import RatingMatch
 from league.prepare import create
 from storage.store import Store
 
-MET = {"anymal-walk": (None, 0.9), "anymal-push": ("idle", 0.75)}  # against whom, and at least which score
+MET = {
+    "anymal-walk": (None, 0.9), "anymal-push": ("idle", 0.75), "leatherback-push": ("idle", 0.85),
+    "anymals-sumo": ("pusher:red", 0.7), "leatherbacks-sumo": ("trot:blue", 0.7),
+    "minitank-aim": (None, 0.9), "crazyflie-fly": (None, 0.9),
+}  # fmt: skip
+"""Against whom, and at least which score."""
 
 
 def test_each_is_tried():
