@@ -42,15 +42,16 @@ def heritage(
     """What each player starts from; `before` are the players of other leagues, the nearest league first.
 
     A critic and its value normaliser go on where the player it was of had the same roster and is the one from which
-    all actors come: then its input fits. One that sees all teams needs the same rosters of all. Raises Misfit, one line
-    with both rosters.
+    all actors come: then its input fits. One that sees all teams needs the same rosters of all, and one that judges for
+    all of them the same for each. One that sees the whole state starts afresh: another arena has another state. Raises
+    Misfit, one line with both rosters.
     """
     taken: dict[str, int] = {}  # kind -> how many agents of it went on already
     found = {}
     for player in players:
         actors = tuple(_source(agent, before, taken) for agent in player.roster.split("+"))
         critic = _critic(player, actors, before)
-        if critic and critic_input == "all" and _rosters(player, players) != _rosters(*_of(before, critic)):
+        if critic and not _fits(critic_input, player, players, *_of(before, critic)):
             critic = None
         found[player.name] = Heritage(actors, critic)
     return found
@@ -89,6 +90,15 @@ def _critic(
 def _of(before: Sequence[Sequence[Player]], owner: tuple[str, str]) -> tuple[Player, Sequence[Player]]:
     """A player of an earlier league, and all of that league."""
     return next((p, league) for league in before for p in league if (p.league, p.name) == owner)
+
+
+def _fits(sees: str, player: Player, league: Sequence[Player], owner: Player, before: Sequence[Player]) -> bool:
+    """Whether a critic of another league's player has the input that this one's is to have."""
+    if sees == "all":
+        return _rosters(player, league) == _rosters(owner, before)
+    if sees == "same":
+        return {p.team: p.roster for p in league} == {p.team: p.roster for p in before}
+    return sees == "own"
 
 
 def _rosters(player: Player, league: Sequence[Player]) -> list[str]:

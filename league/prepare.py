@@ -114,9 +114,7 @@ def examine(config: Config) -> "Arena":
     if config.budget.success is not None and len(teams) > 1:
         told = f"{arena.name} has {len(teams)} teams, and success is for one alone; use budget.reward or budget.steps"
         raise refuse(("budget", "success"), config.budget.success, told)
-    if config.learner.critic_input == "all" and len(teams) == 1:
-        told = f"{arena.name} has one team, and there are no others to see; use own"
-        raise refuse(("learner", "critic_input"), config.learner.critic_input, told)
+    _examine_critic(config, arena)
     _examine_players(config, teams)
     _examine_ladder(config, arena)
     _examine_scripts(config, arena)
@@ -231,6 +229,17 @@ def _trace(arena: "Arena") -> None:
     jax.eval_shape(arena.step, state, actions)
 
 
+def _examine_critic(config: Config, arena: "Arena") -> None:
+    """What the critic is to see must be there to be seen."""
+    sees, told = config.learner.critic_input, ""
+    if sees in ("all", "same") and len(arena.teams) == 1:
+        told = f"{arena.name} has one team, and there are no others to see; use own"
+    if sees == "privileged" and not arena.privileged_size:
+        told = f"{arena.name} has no bodies, and offers no state beside what is observed; use own or all"
+    if told:
+        raise refuse(("learner", "critic_input"), sees, told)
+
+
 def _examine_players(config: Config, teams: list[str]) -> None:
     for i, player in enumerate(config.players):
         if player.team not in teams:
@@ -291,8 +300,9 @@ def _examine_device(config: Config, arena: "Arena") -> None:
 def _examine_memory(config: Config, arena: "Arena") -> None:
     """Refuse a batch of experience that cannot fit, rather than be killed by the operating system over it."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    per_decision = 4 * sum(agent.observation_size + 2 * agent.action_size + 8 for agent in arena.agents)
-    needed = COPIES * worlds(config) * config.training.rollout * per_decision
+    numbers = sum(agent.observation_size + 2 * agent.action_size + 8 for agent in arena.agents)
+    numbers += arena.privileged_size if config.learner.critic_input == "privileged" else 0
+    needed = COPIES * worlds(config) * config.training.rollout * 4 * numbers
     if needed > MEMORY_SHARE * total:
         raise ConfigError(
             ("training", "worlds"),

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from agents.batch import Batch
-from agents.bridge import team_batch, to_jax
+from agents.bridge import common_size, team_batch, to_jax
 from agents.errors import Diverged
 from agents.happo import Learner
 from agents.policy import Crew
@@ -91,7 +91,8 @@ class Trainer:
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
         self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
-        self._rollout = Compiled(make_rollout(arena, config.training.rollout), arena)
+        privileged = config.learner.critic_input == "privileged"
+        self._rollout = Compiled(make_rollout(arena, config.training.rollout, privileged), arena)
         self._shapes = self._architectures()
         self._each = beside(list(self.learners.values()))
 
@@ -189,10 +190,11 @@ class Trainer:
             return error
 
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
-        team = self.players[name].team
+        team, sees = self.players[name].team, self.config.learner.critic_input
         return team_batch(
             trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(self.counters[name]),
-            others=_others(self.config, self.arena, team),
+            others=_others(self.config, self.arena, team), privileged=sees == "privileged",
+            common=self.arena.teams if sees == "same" else (),
         )  # fmt: skip
 
     def _count(
@@ -366,7 +368,9 @@ def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
     seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     others = [a.observation_size for team in _others(config, arena, player.team) for a in team.agents]
-    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others)
+    sees = settings.critic_input
+    sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
+    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others, sight)
 
 
 def _others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
