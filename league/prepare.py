@@ -22,6 +22,7 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
+from league.fading import floor
 from league.heirs import Misfit, heritage
 from storage.records import League, Player
 from storage.store import Store
@@ -115,6 +116,10 @@ def examine(config: Config) -> "Arena":
         told = f"{arena.name} has {len(teams)} teams, and success is for one alone; use budget.reward or budget.steps"
         raise refuse(("budget", "success"), config.budget.success, told)
     _examine_critic(config, arena)
+    least, until = floor(len(teams)), config.training.shaping_until
+    if until is not None and until <= least:
+        told = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
+        raise refuse(("training", "shaping_until"), until, told)
     _examine_players(config, teams)
     _examine_ladder(config, arena)
     _examine_scripts(config, arena)

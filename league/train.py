@@ -26,7 +26,7 @@ from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
 from arenas.arena import Arena
 from arenas.state import TeamSpec
-from league import heirs
+from league import fading, heirs
 from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
@@ -82,6 +82,7 @@ class Trainer:
         self.players = {player.name: player for player in players}
         self.learners = {player.name: _new_learner(config, arena, player) for player in players}
         self.counters = {player.name: Counters() for player in players}
+        self._fading = {name: fading.begun(config.training, len(arena.teams)) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
         self._points: list[CurvePoint] = []
@@ -141,7 +142,8 @@ class Trainer:
         checkpoints, snapshots = [], []
         for name in learnt:
             learner, at = self.learners[name], self.counters[name]
-            digest = store.blobs.put(arrays.to_bytes(learner.state()))
+            fades = self._fading[name]
+            digest = store.blobs.put(arrays.to_bytes(learner.state() | (fades.state() if fades else {})))
             league = self.players[name].league
             checkpoints.append(Checkpoint(league, name, digest, at.steps, at.iteration, at.seconds, key))
         for name in filter(None, turn.present):
@@ -192,7 +194,7 @@ class Trainer:
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
         team, sees = self.players[name].team, self.config.learner.critic_input
         return team_batch(
-            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(self.counters[name]),
+            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(name),
             others=_others(self.config, self.arena, team), privileged=sees == "privileged",
             common=self.arena.teams if sees == "same" else (),
         )  # fmt: skip
@@ -204,8 +206,10 @@ class Trainer:
         at = self.counters[name]
         now = Counters(at.iteration + 1, before.steps + steps, before.seconds + elapsed)
         self.counters[name] = now
+        if fades := self._fading[name]:
+            fades.note(figures)
         values = {
-            **figures, "steps_per_second": steps / elapsed, "shaping_weight": self._shaping(now),
+            **figures, "steps_per_second": steps / elapsed, "shaping_weight": self._shaping(name),
             "begun_anew": self._begun_anew if at == before else 0.0,
         }  # fmt: skip
         return CurvePoint(self.players[name].league, name, now.iteration, now.steps, now.seconds, values)
@@ -223,10 +227,10 @@ class Trainer:
             for i, agent in enumerate(team.agents)
         }
 
-    def _shaping(self, at: Counters) -> float:
-        """Weight of the dense reward: it fades linearly to none."""
-        span = self.config.training.shaping_steps
-        return max(0.0, 1.0 - at.steps / span) if span else 0.0
+    def _shaping(self, name: str) -> float:
+        """Weight of a player's dense reward as it stands."""
+        fades = self._fading[name]
+        return fades.weight if fades else fading.by_steps(self.config.training, self.counters[name].steps)
 
     # Before and after ------------------------------------------------------------------------------------------------
 
@@ -256,6 +260,9 @@ class Trainer:
             self.learners[name].inherit([(state, i) for i in agents], None)
             iteration = own.iteration + now.iteration - phase.since.get(learner, 0)
             self.counters[name] = Counters(iteration, max(own.steps, now.steps), max(own.seconds, now.seconds))
+            mine, theirs = self._fading[name], self._fading[learner]
+            if mine and theirs:
+                mine.follow(theirs)
         self._parents = dict.fromkeys(self._copied, store.snapshots(phase.league, learner)[-1].name)
         self._worlds.pop(turn.group)  # an episode against two opponents in turn is neither's game
 
@@ -267,7 +274,10 @@ class Trainer:
         for name, digest in turn.bases.items():
             player = self.players[name]
             if digest and (digest != self._at[name] or turn.dice):
-                self.learners[name].load(arrays.from_bytes(store.blobs.get(digest)))
+                state = arrays.from_bytes(store.blobs.get(digest))
+                self.learners[name].load(state)
+                if fades := self._fading[name]:
+                    fades.load(state)
                 self._worlds.pop(turn.group, None)  # they belong to a history that is not the store's
                 if turn.dice:
                     self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{turn.dice}".encode()))
