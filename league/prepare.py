@@ -12,12 +12,12 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from arenas.about import crowd
 from arenas.blame import blame, sources
-from league import devices
+from league import devices, memory
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError, literal, refuse
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from arenas.arena import Arena
 
 CPU_WORLDS, GPU_WORLDS = 256, 2048  # below 2,000 worlds a GPU waits for launches; more on a CPU make updates rarer
-MEMORY_SHARE = 0.8  # of the machine's, for one batch of experience with what learning makes of it
-COPIES = 4  # of each number in a batch: as collected, cleaned, in what an actor learns from, and in the order of a pass
 
 
 @dataclass(frozen=True)
@@ -120,6 +118,7 @@ def examine(config: Config) -> "Arena":
     if until is not None and until <= least:
         told = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
         raise refuse(("training", "shaping_until"), until, told)
+    _examine_groups(config, len(teams))
     _examine_players(config, teams)
     _examine_ladder(config, arena)
     _examine_scripts(config, arena)
@@ -161,6 +160,7 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     players = players_of(config, arena)
     if config.league in {league.name for league in store.leagues()}:
         _examine_rosters(store, config, arena, players)
+        _examine_checkpoints(store, config, arena, players)
         gone = sorted({p.name for p in store.players(config.league)} - {p.name for p in players})
         if gone:
             raise ConfigError(
@@ -187,6 +187,36 @@ def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list
                 f"league {config.league!r} cannot go on in {arena.name}: its player {kept.name} fits {kept.roster}, not"
                 f" {player.roster}; choose another league name",
             )
+
+
+def _examine_checkpoints(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
+    """A player goes on with the networks that it has. Only other settings than those of the last run can be others.
+
+    That is found out by loading; it needs torch, which takes a second or two to be imported.
+    """
+    try:
+        before = configuration.loads(store.league(config.league).config)
+    except ConfigError:
+        before = None  # written by another version
+    if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
+        return
+    from league.train import new_learner
+    from storage import arrays
+
+    on_cpu = replace(config, training=replace(config.training, device="cpu"))
+    kept = store.newest_checkpoints(config.league)
+    for player in players:
+        if player.name not in kept:
+            continue
+        state = arrays.from_bytes(store.blobs.get(kept[player.name].digest))
+        try:
+            new_learner(on_cpu, arena, player).load(state)
+        except ValueError as error:
+            raise ConfigError(
+                ("league",),
+                f"league {config.league!r} cannot go on with these settings of its learner: {player.name}: {error}; go"
+                " on with the settings that it had, or choose another league name",
+            ) from None
 
 
 def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) -> None:
@@ -243,6 +273,19 @@ def _examine_critic(config: Config, arena: "Arena") -> None:
         told = f"{arena.name} has no bodies, and offers no state beside what is observed; use own or all"
     if told:
         raise refuse(("learner", "critic_input"), sees, told)
+
+
+def _examine_groups(config: Config, teams: int) -> None:
+    """Every group of a turn needs a world: one group, or some, of present opponents, and each learner's past ones."""
+    present, past = config.training.opponents.split()
+    learners = teams if config.training.schedule.kind == "simultaneous" else 1
+    groups, count = present + past * learners, worlds(config)
+    if past and teams > 1 and groups > count:
+        told = (
+            f"{learners} who learn meet past opponents in {past} groups each, beside {present} of present ones: with"
+            f" {count} worlds there can be no {groups} groups; use more training.worlds, or fewer groups"
+        )
+        raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, told)
 
 
 def _examine_players(config: Config, teams: list[str]) -> None:
@@ -304,11 +347,11 @@ def _examine_device(config: Config, arena: "Arena") -> None:
 
 def _examine_memory(config: Config, arena: "Arena") -> None:
     """Refuse a batch of experience that cannot fit, rather than be killed by the operating system over it."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    numbers = sum(agent.observation_size + 2 * agent.action_size + 8 for agent in arena.agents)
-    numbers += arena.privileged_size if config.learner.critic_input == "privileged" else 0
-    needed = COPIES * worlds(config) * config.training.rollout * 4 * numbers
-    if needed > MEMORY_SHARE * total:
+    import jax
+
+    at_once = 1 if jax.default_backend() == "gpu" else len(arena.teams)
+    total, needed = memory.machine(), memory.learning(config, arena, worlds(config), at_once)
+    if needed > memory.SHARE * total:
         raise ConfigError(
             ("training", "worlds"),
             f"training.worlds × training.rollout = {worlds(config)} × {config.training.rollout}: such a batch needs"

@@ -26,7 +26,7 @@ from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
 from arenas.arena import Arena
 from arenas.state import TeamSpec
-from league import fading, heirs
+from league import fading, heirs, memory
 from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
@@ -80,7 +80,7 @@ class Trainer:
     def __init__(self, config: Config, arena: Arena, players: Sequence[Player], worlds: int):
         self.config, self.arena, self.asked = config, arena, worlds
         self.players = {player.name: player for player in players}
-        self.learners = {player.name: _new_learner(config, arena, player) for player in players}
+        self.learners = {player.name: new_learner(config, arena, player) for player in players}
         self.counters = {player.name: Counters() for player in players}
         self._fading = {name: fading.begun(config.training, len(arena.teams)) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
@@ -96,6 +96,8 @@ class Trainer:
         self._rollout = Compiled(make_rollout(arena, config.training.rollout, privileged), arena)
         self._shapes = self._architectures()
         self._each = beside(list(self.learners.values()))
+        self._device = next(iter(self.learners.values())).device
+        self._room = memory.room(self._device)
 
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so.
@@ -153,6 +155,12 @@ class Trainer:
         store.finish(lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points, keep=keep)
         self._points = []
         self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
+
+    def too_large(self) -> memory.TooLarge:
+        """What to say where a turn ran out of memory: what it needed, by XLA's count and the numbers of a batch."""
+        at_once = len(self.arena.teams) if self._device.type == "cpu" else 1
+        needed = self._rollout.bytes + memory.learning(self.config, self.arena, self.asked, at_once)
+        return memory.TooLarge(memory.words(self.config, self.asked, needed, self._room))
 
     # An iteration ----------------------------------------------------------------------------------------------------
 
@@ -366,7 +374,7 @@ def random_key(seed: int, purpose: str, number: int) -> Array:
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), crc32(purpose.encode())), number)
 
 
-def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
+def new_learner(config: Config, arena: Arena, player: Player) -> Learner:
     """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
     agents = arena.teams[player.team].agents
     settings = config.learner
