@@ -8,6 +8,7 @@ other numbers is refused: that is a mistake in the settings.
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+from league.config import toml
 from storage import arrays
 from storage.errors import StorageError
 from storage.records import Checkpoint, Player
@@ -131,12 +132,24 @@ def words(heritages: Mapping[str, Heritage]) -> list[str]:
 def of(store: Store, players: Sequence[Player], after: Sequence[str], critic_input: str = "own") -> dict[str, Heritage]:
     """What the players of a league start from, by what the store holds of the leagues named in `after`.
 
-    Raises UnknownName for a league that is not there, Misfit as `heritage` does.
+    A critic that saw something else starts afresh. Raises UnknownName for a league that is not there, Misfit as
+    `heritage` does.
     """
     for league in after:
         store.league(league)
     order = sorted(players, key=lambda p: (p.role != "main", p.team, p.name))
-    return heritage(order, [store.players(league) for league in after], critic_input)
+    found = heritage(order, [store.players(league) for league in after], critic_input)
+    seen = {league: _critic_input(store, league) for league in after}
+    return {
+        name: each._replace(critic=None) if each.critic and seen[each.critic[0]] != critic_input else each
+        for name, each in found.items()
+    }
+
+
+def _critic_input(store: Store, league: str) -> str:
+    """What the critics of a league of this store see."""
+    learner = toml.parse(store.league(league).config, league).get("learner", {})
+    return str(learner.get("critic_input", "own"))
 
 
 def start(store: Store, learner: "Learner", heritage: Heritage) -> str | None:

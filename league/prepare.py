@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from arenas.about import crowd
@@ -154,13 +154,14 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     Raises StorageError, before anything is written, where the league has players that contradict these.
     """
     from league.exchange import bring_in_trained
+    from league.fits import examine_checkpoints, examine_start
     from league.policies import add_scripts
     from league.query import Open
 
     players = players_of(config, arena)
     if config.league in {league.name for league in store.leagues()}:
         _examine_rosters(store, config, arena, players)
-        _examine_checkpoints(store, config, arena, players)
+        examine_checkpoints(store, config, arena, players)
         gone = sorted({p.name for p in store.players(config.league)} - {p.name for p in players})
         if gone:
             raise ConfigError(
@@ -169,6 +170,8 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
                 " [[players]], or choose another league name",
             )
         store.add_players(players)  # refuses those that contradict what is there
+    elif config.after:
+        examine_start(store, config, arena, players)
     store.create_league(League(config.league, configuration.dumps(config)))
     store.add_players(players)
     add_scripts(store, config.league, arena, _scripts(config, arena))
@@ -187,36 +190,6 @@ def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list
                 f"league {config.league!r} cannot go on in {arena.name}: its player {kept.name} fits {kept.roster}, not"
                 f" {player.roster}; choose another league name",
             )
-
-
-def _examine_checkpoints(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
-    """A player goes on with the networks that it has. Only other settings than those of the last run can be others.
-
-    That is found out by loading; it needs torch, which takes a second or two to be imported.
-    """
-    try:
-        before = configuration.loads(store.league(config.league).config)
-    except ConfigError:
-        before = None  # written by another version
-    if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
-        return
-    from league.train import new_learner
-    from storage import arrays
-
-    on_cpu = replace(config, training=replace(config.training, device="cpu"))
-    kept = store.newest_checkpoints(config.league)
-    for player in players:
-        if player.name not in kept:
-            continue
-        state = arrays.from_bytes(store.blobs.get(kept[player.name].digest))
-        try:
-            new_learner(on_cpu, arena, player).load(state)
-        except ValueError as error:
-            raise ConfigError(
-                ("league",),
-                f"league {config.league!r} cannot go on with these settings of its learner: {player.name}: {error}; go"
-                " on with the settings that it had, or choose another league name",
-            ) from None
 
 
 def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) -> None:

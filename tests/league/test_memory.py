@@ -18,7 +18,7 @@ from league.config.schema import ConfigError
 from league.prepare import examine
 from storage.errors import StorageError
 from storage.store import Store
-from tests.league.conftest import ENVIRONMENT, call
+from tests.league.conftest import ENVIRONMENT
 
 PENNIES = (
     "--arena.name", "matching-pennies", "--training.turn", "1", "--workers.match", "0", "--training.rollout", "32",
@@ -93,22 +93,6 @@ def test_worlds_that_are_fewer_than_a_turn_has_groups_are_refused():
         examine(configuration.loads(few))
     assert examine(configuration.loads(f'{few}[training.schedule]\nkind = "leapfrog"\n'))
     assert examine(configuration.loads(few.replace("= 3\n[", "= 5\n[")))
-
-
-def test_networks_that_a_player_does_not_have_are_refused_before_anything_is_written(tmp_path):
-    first = call("run", *PENNIES, "--training.worlds", "16", "--steps", "512", cwd=tmp_path)
-    assert first.returncode == 0, first.stderr
-    with Store.open(tmp_path / "league-data") as store:
-        before = (store.revision("main"), store.league("main"), store.checkpoints("main"))
-    for flag, says in (
-        (("--learner.architecture.hidden", "8"), r"actor\.0\.trunk\.hidden\.0\.weight has the shape \[64, 1\] there "),
-        (("--learner.critic_input", "same"), r"critic\.trunk\.observation_mean has the shape \[1\] there and \[4\] h"),
-    ):
-        refused = call("run", *PENNIES, "--training.worlds", "16", *flag, "--steps", "512", cwd=tmp_path)
-        assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (2, "", 1)
-        assert re.search(says, refused.stderr)
-        with Store.open(tmp_path / "league-data") as store:
-            assert (store.revision("main"), store.league("main"), store.checkpoints("main")) == before
 
 
 @pytest.mark.slow
