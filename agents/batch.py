@@ -7,6 +7,16 @@ import torch
 from torch import Tensor
 
 
+class Side(NamedTuple):
+    """What a critic that sees more than observations learns from: how the game went for one team."""
+
+    seen: Tensor  # (T, N, all that it sees) with zeros where that means nothing
+    next_seen: Tensor  # (T, N, all that it sees)
+    rewards: Tensor  # (T, N)
+    terminated: Tensor  # (T, N) bool
+    void: Tensor  # (T, N) bool
+
+
 class Batch(NamedTuple):
     """A team's experience of T decisions in N worlds, one entry per agent in the sequences."""
 
@@ -25,6 +35,8 @@ class Batch(NamedTuple):
     next_others: Sequence[Tensor] = ()  # (T, N, obs)
     others_alive: Sequence[Tensor] = ()  # (T, N) bool
     next_others_alive: Sequence[Tensor] = ()  # (T, N) bool
+    # Where the critic sees something else than observations: the game as it went for the team, then for other teams.
+    sides: Sequence[Side] = ()
 
 
 class Share(NamedTuple):
@@ -38,12 +50,12 @@ class Share(NamedTuple):
 
 
 class Critique(NamedTuple):
-    """What a critic makes of the B = T·N decisions of a batch."""
+    """What a critic makes of the B = T·N decisions of a batch, as often as it has sides; the team's own come first."""
 
     seen: Tensor  # (B, all that it sees)
     predictions: Tensor  # (B,) in normalised units, as all that the critic says
     values: Tensor  # (B,) the same in units of reward
-    advantages: Tensor  # (B,)
+    advantages: Tensor  # (T·N,) of the team itself
     returns: Tensor  # (B,)
     valid: Tensor  # (B,) bool: not void
 
@@ -80,7 +92,25 @@ def clean(batch: Batch) -> Batch:
         held(batch.next_others, others_next),
         others,
         others_next,
+        [_clean_side(side) for side in batch.sides],
     )
+
+
+def _clean_side(side: Side) -> Side:
+    def held(x: Tensor) -> Tensor:
+        return x.masked_fill(side.void[..., None] if x.dim() > side.void.dim() else side.void, 0.0)
+
+    return side._replace(seen=held(side.seen), next_seen=held(side.next_seen), rewards=held(side.rewards))
+
+
+def sides(batch: Batch, agents: Sequence[int], everybody: bool) -> Sequence[Side]:
+    """What a critic of these agents learns from in a clean batch: the team's own side first.
+
+    `everybody`: where the batch names no sides, it sees the other teams' agents after its own.
+    """
+    if batch.sides:
+        return batch.sides
+    return [Side(*views(batch, agents, everybody), batch.rewards, batch.terminated, batch.void)]
 
 
 def views(batch: Batch, agents: Sequence[int], everybody: bool) -> tuple[Tensor, Tensor]:

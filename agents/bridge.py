@@ -14,7 +14,7 @@ import torch
 from jax import Array
 from torch import Tensor
 
-from agents.batch import Batch
+from agents.batch import Batch, Side
 from agents.policy import Params
 from agents.rollout import Trajectory
 from arenas.state import TeamSpec
@@ -33,21 +33,32 @@ def team_batch(
     shaping: float,
     blame: float = 1.0,
     others: Sequence[TeamSpec] = (),
+    privileged: bool = False,
+    common: Sequence[TeamSpec] = (),
 ) -> Batch:
     """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
 
-    `others` are the teams whose observations its critic sees too.
+    What its critic sees beside, or instead of, the team's own observations: `others` are the teams whose observations
+    it sees too; `privileged`: it sees the whole state, which the trajectory then holds; `common` are all teams, where
+    it judges for all of them (`common_order`).
 
     The reward is the outcome plus `shaping` times the dense hints. Where the team's own robots made a world void, that
     is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
     For the other teams the decision stays void.
     """
-    own = trajectory.void[:, worlds] & trajectory.culprits[:, worlds, index]
-    rewards = trajectory.reward[:, worlds, index] + shaping * trajectory.shaping[:, worlds, index]
 
     def of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec] = (team,)) -> Sequence[Tensor]:
         return [to_torch(values[agent.name][:, worlds]) for team in teams for agent in team.agents]
 
+    rewards, terminated, void = _earned(trajectory, index, worlds, shaping, blame)
+    sides = []
+    if privileged:
+        seen, next_seen = (to_torch(values[:, worlds]) for values in trajectory.whole)
+        sides = [Side(seen, next_seen, rewards, terminated, void)]
+    for t in sorted(range(len(common)), key=lambda t: t != index):
+        seen = _seen_by_all(trajectory.observations, common, t, worlds)
+        next_seen = _seen_by_all(trajectory.next_observations, common, t, worlds)
+        sides.append(Side(seen, next_seen, *_earned(trajectory, t, worlds, shaping, blame)))
     return Batch(
         of_agents(trajectory.observations),
         of_agents(trajectory.next_observations),
@@ -55,15 +66,56 @@ def team_batch(
         of_agents(trajectory.log_probs),
         of_agents(trajectory.alive),
         of_agents(trajectory.next_alive),
-        to_torch(jnp.where(own, -blame, rewards)),
-        to_torch(trajectory.terminated[:, worlds] | own),
+        rewards,
+        terminated,
         to_torch(trajectory.truncated[:, worlds]),
-        to_torch(trajectory.void[:, worlds] & ~own),
+        void,
         of_agents(trajectory.observations, others),
         of_agents(trajectory.next_observations, others),
         of_agents(trajectory.alive, others),
         of_agents(trajectory.next_alive, others),
+        sides,
     )
+
+
+def _earned(
+    trajectory: Trajectory, index: int, worlds: slice | np.ndarray, shaping: float, blame: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A team's rewards (T, N), and where its game ended or is void, (T, N) bool."""
+    own = trajectory.void[:, worlds] & trajectory.culprits[:, worlds, index]
+    rewards = trajectory.reward[:, worlds, index] + shaping * trajectory.shaping[:, worlds, index]
+    return (
+        to_torch(jnp.where(own, -blame, rewards)),
+        to_torch(trajectory.terminated[:, worlds] | own),
+        to_torch(trajectory.void[:, worlds] & ~own),
+    )
+
+
+def common_order(teams: Sequence[TeamSpec], index: int) -> list[int]:
+    """In which order a critic common to all teams sees them when it judges for one: numbers of teams.
+
+    That of the arena, but the team itself changes places with the first of its roster. So teams of one roster look
+    alike from either side, and in each place there stand always the same robots.
+    """
+    order = list(range(len(teams)))
+    first = next(i for i, team in enumerate(teams) if team.roster == teams[index].roster)
+    order[first], order[index] = index, first
+    return order
+
+
+def common_size(teams: Sequence[TeamSpec]) -> int:
+    """Numbers that a critic common to all teams sees: which team it judges for (one-hot), and all observations."""
+    return len(teams) + sum(agent.observation_size for team in teams for agent in team.agents)
+
+
+def _seen_by_all(
+    observations: Mapping[str, Array], teams: Sequence[TeamSpec], index: int, worlds: slice | np.ndarray
+) -> Tensor:
+    """What a critic common to all teams sees when it judges for one of them, (T, N, common_size)."""
+    order = common_order(teams, index)
+    seen = [observations[agent.name][:, worlds] for t in order for agent in teams[t].agents]
+    which = jnp.broadcast_to(jax.nn.one_hot(index, len(teams)), (*seen[0].shape[:2], len(teams)))
+    return to_torch(jnp.concatenate([which, *seen], axis=-1))
 
 
 def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:

@@ -29,7 +29,8 @@ def read(tensors: Mapping[str, Tensor], fixed: Collection[str], rng: torch.Gener
     wrong += [k for k in state if k not in tensors and k.startswith(NETWORKS)]
     wrong += ["rng"] if "rng" not in state else []
     if wrong:
-        raise ValueError(f"the checkpoint does not fit this learner: {', '.join(wrong[:3])} ({len(wrong)} in all)")
+        told = f"{', '.join(wrong[:3])} ({len(wrong)} in all)"
+        raise ValueError(f"the checkpoint does not fit this learner: {told}; {_unlike(wrong[0], tensors, state)}")
     bad = [k for k in tensors if not np.isfinite(state[k]).all()]
     if bad:
         raise ValueError(f"the checkpoint is not finite in {', '.join(bad[:3])} ({len(bad)} in all)")
@@ -37,6 +38,18 @@ def read(tensors: Mapping[str, Tensor], fixed: Collection[str], rng: torch.Gener
         for name, tensor in tensors.items():
             tensor.copy_(torch.from_numpy(np.array(state[name])))
     rng.set_state(torch.from_numpy(np.array(state["rng"])))
+
+
+def _unlike(name: str, tensors: Mapping[str, Tensor], state: State) -> str:
+    """How the checkpoint and the learner differ in what has this name."""
+    if name not in state:
+        return f"the checkpoint has no {name}"
+    if name not in tensors:
+        return f"here is no {name}"
+    there, here = state[name], tensors[name]
+    if np.shape(there) != tuple(here.shape):
+        return f"{name} has the shape {list(np.shape(there))} there and {list(here.shape)} here"
+    return f"{name} is {np.asarray(there).tolist()} there and {here.tolist()} here"
 
 
 def check_finite(tensors: Mapping[str, Tensor]) -> None:

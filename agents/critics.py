@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
-from agents.batch import Batch, Critique, views
+from agents.batch import Batch, Critique, sides
 from agents.graphs import Run
 from agents.networks import Critic
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
@@ -30,13 +30,17 @@ class CriticLearner:
     def criticise(self, batch: Batch) -> Critique:
         """Values, advantages and returns of a clean batch by the critic as it is before the update."""
         c = self.config
-        seen, seen_next = views(batch, self.agents, c.critic_input == "all")
-        predictions = self.network(seen)
-        values, next_values = self._denormalise(predictions), self._denormalise(self.network(seen_next))
-        ends = batch.terminated, batch.truncated, batch.void
-        A = advantages(batch.rewards, values, next_values, *ends, c.gamma, c.lam)
-        found = seen, predictions, values, A, A + values, ~batch.void
-        return Critique(*(x.flatten(0, 1) for x in found))
+        each = []
+        for side in sides(batch, self.agents, c.critic_input == "all"):
+            predictions = self.network(side.seen)
+            values, next_values = self._denormalise(predictions), self._denormalise(self.network(side.next_seen))
+            ends = side.terminated, batch.truncated, side.void
+            A = advantages(side.rewards, values, next_values, *ends, c.gamma, c.lam)
+            found = side.seen, predictions, values, A, A + values, ~side.void
+            each.append(Critique(*(x.flatten(0, 1) for x in found)))
+        if len(each) == 1:
+            return each[0]
+        return Critique(*map(torch.cat, zip(*each, strict=True)))._replace(advantages=each[0].advantages)
 
     def update(self, critique: Critique, decay: float, dice: torch.Generator, run: Run) -> None:
         """Learn from returns that the normaliser has just seen; `decay` is what is left of the step size."""

@@ -43,7 +43,8 @@ class Learner:
     """A team that learns, on `device` auto, cpu or cuda. Its whole state is `state()`, from which `load` goes on.
 
     `kinds` are the agents' robots; agents of one kind and equal sizes are equal. Without them all are of one kind.
-    `others` are the observation sizes of the other teams' agents, in the order in which batches hold them.
+    `others` are the observation sizes of the other teams' agents, in the order in which batches hold them; `sight` is
+    how many numbers the critic sees where these are no observations in their order (critic_input privileged, same).
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class Learner:
         device: str = "cpu",
         kinds: Sequence[str] = (),
         others: Sequence[int] = (),
+        sight: int = 0,
     ):
         self.config = c = config
         if device == "auto":
@@ -73,7 +75,8 @@ class Learner:
             torch.manual_seed(seed)
             actors = [Actor(*equal[leader][1:], arch, c.initial_std).to(self.device) for leader in together]
             extra = others if c.critic_input == "all" else ()
-            critics = [Critic([size, *extra], arch).to(self.device) for size in sizes]
+            sights = [[size, *extra] if c.critic_input in ("own", "all") else [sight] for size in sizes]
+            critics = [Critic(seen, arch).to(self.device) for seen in sights]
         kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
         self.actor_learners = [kind(a, agents, c) for a, agents in zip(actors, together.values(), strict=True)]
         self.critic_learners = [CriticLearner(v, circle, c) for v, circle in zip(critics, circles, strict=True)]

@@ -150,15 +150,15 @@ class Squashed:
 
 
 class Critic(nn.Module):
-    """The team's value from the concatenated observations of some agents, in normalised units (see ValueNorm)."""
+    """A team's value from all that is seen, such as agents' observations, in normalised units (see ValueNorm)."""
 
-    def __init__(self, observation_sizes: Sequence[int], architecture: Architecture):
+    def __init__(self, sizes: Sequence[int], architecture: Architecture):
         super().__init__()
-        self.trunk = Trunk(sum(observation_sizes), architecture)
+        self.trunk = Trunk(sum(sizes), architecture)
         self.value = nn.Linear(architecture.hidden[-1], 1)
         nn.init.orthogonal_(self.value.weight, 1.0)
         nn.init.zeros_(self.value.bias)
 
-    def forward(self, team_observations: Tensor) -> Tensor:
-        """Values (...) of team observations (..., sum of sizes)."""
-        return self.value(self.trunk(team_observations)).squeeze(-1).to(team_observations.dtype)
+    def forward(self, seen: Tensor) -> Tensor:
+        """Values (...) of what is seen (..., sum of sizes), concatenated."""
+        return self.value(self.trunk(seen)).squeeze(-1).to(seen.dtype)

@@ -46,6 +46,8 @@ class Trajectory(NamedTuple):
     culprits: Array  # (T, N, teams) bool: whose robots made it void; none where that cannot be told
     cut: Array  # (T, N) bool: cut short so that worlds do not end together; its score counts for nobody
     age: Array  # (T, N) int32: decisions of the episode so far, this one included
+    # (T, N, privileged_size) twice, the whole state before and after each decision, where a critic sees it:
+    whole: tuple[Array, ...] = ()
 
 
 class Games(NamedTuple):
@@ -64,13 +66,14 @@ class Games(NamedTuple):
 Act = Callable[[Mapping[str, Crew], dict[str, Array], Array], tuple[dict[str, Array], dict[str, Array]]]
 
 
-def make_rollout(arena: Arena, length: int) -> jax.stages.Wrapped:
+def make_rollout(arena: Arena, length: int, privileged: bool = False) -> jax.stages.Wrapped:
     """Compile the training rollout: `rollout(crews, worlds, key) -> (worlds, trajectory)` of `length` decisions.
 
     `crews` are by agent name, N is a multiple of their K groups. Finished worlds begin anew at once. The buffers of
-    `worlds` are used up.
+    `worlds` are used up. With `privileged` the trajectory holds the whole state too, of an arena that offers it.
     """
     decide = _make_act(arena)
+    whole = jax.vmap(arena.whole)
 
     def by_agent(alive: Array) -> dict[str, Array]:
         return {agent.name: alive[:, i] for i, agent in enumerate(arena.agents)}
@@ -90,6 +93,7 @@ def make_rollout(arena: Arena, length: int) -> jax.stages.Wrapped:
                 state.observations, after.observations, actions, log_probs,
                 by_agent(state.alive), by_agent(after.alive), verdict.reward, verdict.shaping, verdict.score,
                 verdict.terminated, verdict.truncated | cut, after.void, after.culprits, cut, age,
+                (whole(state), whole(after)) if privileged else (),
             )  # fmt: skip
             fresh = jax.vmap(arena.restart)(after, jax.random.split(place_key, number), over)
             left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))

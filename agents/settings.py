@@ -15,6 +15,7 @@ SQUASH_EDGE = 1 - 1e-6
 
 Method = Literal["happo", "mappo", "ippo", "hatrpo"]
 Precision = Literal["float32", "tf32", "bf16"]
+CriticInput = Literal["own", "all", "privileged", "same"]
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,9 @@ class HappoConfig:
     ippo: each on its own critic's advantage, which sees what the agent sees; hatrpo: as happo, by trust region."""
     trust_region: TrustRegion = field(default_factory=TrustRegion)
     """HATRPO's steps; other methods have none."""
-    critic_input: Literal["own", "all"] = "own"
-    """What the critic sees: its own team's observations, or those of all teams."""
+    critic_input: CriticInput = "own"
+    """What the critic sees. own: its own team's observations; all: those of all teams; privileged: the arena's whole
+    state; same: those of all teams and for which of them it judges, whose games it all learns from."""
     share_actors: bool = False
     """Equal robots of a team act by one actor, and learn it together."""
     lr: float = field(default=1e-3, metadata={"low": 0.0, "high": 1.0})
@@ -114,7 +116,7 @@ class HappoConfig:
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""
-        if self.method == "ippo" and self.critic_input == "all":
+        if self.method == "ippo" and self.critic_input != "own":
             raise ValueError("critic_input: ippo's critics see what their own agents see; use own, or another method")
         if self.method == "hatrpo":
             for name in ("kl_stop", "kl_step"):

@@ -7,7 +7,6 @@ control step. What a game decided first stays: later control steps of the same d
 
 import hashlib
 import json
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -19,26 +18,28 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from arenas.about import Legend, Part
+from arenas.about import Legend, Part, numbers
 from arenas.engines import make_engine
 from arenas.errors import ArenaError
 from arenas.options import Solver, Timing, Where
 from arenas.physics import Engine, Law, Moved, Physics, sound, stackable
+from arenas.privileged import Bodies
 from arenas.props import Prop
 from arenas.robots.robot import Body, Robot, Script
+from arenas.rosters import check_rosters
 from arenas.scene import Scene, build
 from arenas.starts import drawn
 from arenas.state import AgentSpec, Frames, State, TeamSpec, Verdict, begun, counted, finite, merged, undecided
 
 MODEL_FIELDS = 0x6D6F6465  # folded into an episode's key for its model fields, far from what games split off it
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # of teams: part of body names, paths in the viewer and names of players
 
 
 class Arena(ABC):
     """A game, with physics where its robots have bodies.
 
     A game fills in `observation_size`, `place`, `observe` and `judge`, and `decide`, `alive`, `randomise`, `exchange`,
-    `game_scripts` and `markers` if it has such. The constructor calls none of them: what they need can be set after it.
+    `game_scripts`, `markers` and `privileged` if it has such. The constructor calls none of them: what they need can be
+    set after it.
     """
 
     def __init_subclass__(cls) -> None:
@@ -67,7 +68,7 @@ class Arena(ABC):
         is drawn with the robots: name -> "circle" (x, y, radius) on the ground, "segment" (x, y, z of both ends),
         "sphere" of wire or solid "ball" (x, y, z, radius). Raises ArenaError for rosters that cannot be.
         """
-        _check_rosters(robots)
+        check_rosters(robots)
         self.name = name
         self.timing = timing
         self.robots: dict[str, Robot] = {f"{team}/{i}": r for team, rs in robots.items() for i, r in enumerate(rs)}
@@ -148,6 +149,26 @@ class Arena(ABC):
         """What to draw beside the robots now, by the names of `marker_kinds`."""
         return {}
 
+    def privileged(self, physics: Physics, game: Any, actions: dict[str, Array]) -> Array:
+        """The whole state as one vector (privileged_size,), for critics that may see what no robot sees.
+
+        Every body's place, attitude and velocity in the world, who is in the game, the game's own numbers, the last
+        actions and the share of the time that is left. A game without bodies has none, unless it overrides this
+        together with `privileged_parts`.
+        """
+        alive = self.alive(physics, game) if self._mortal else None
+        left = 1.0 - physics.time / self.timing.episode
+        return self._bodies.everything(physics, alive, game, actions, left)
+
+    def privileged_parts(self) -> tuple[Part, ...]:
+        """What the numbers of `privileged` are, in their order: so many there are. Nothing: the arena has no such."""
+        if not self._bodies.parts:
+            return ()
+        game = jax.eval_shape(lambda key: self.place(key)[2], jax.random.key(0))
+        return self._bodies.everything_told(
+            self._mortal, game, {name: r.action_size for name, r in self.robots.items()}
+        )
+
     # What a game says about itself; `league check` holds it against what it does --------------------------------------
 
     def observation_parts(self, agent: str) -> tuple[Part, ...]:
@@ -183,6 +204,17 @@ class Arena(ABC):
             for agent, at in ((agent, self.scene.agents.get(agent)) for agent in self.robots)
         ]
         return jnp.stack(rules)
+
+    @cached_property
+    def privileged_size(self) -> int:
+        """Numbers in the whole state as critics may see it; 0: there is none to see."""
+        return numbers(self.privileged_parts())
+
+    @final
+    def whole(self, state: State) -> Array:
+        """What `privileged` says of a world (privileged_size,), with no number that a network must not see."""
+        told = finite({"whole": self.privileged(state.physics, state.game, state.actions)})
+        return stackable(told["whole"])[0]
 
     @final
     def scripts(self) -> dict[str, dict[str, Script]]:
@@ -293,6 +325,10 @@ class Arena(ABC):
         return State(physics, game, observations, actions, verdict, jnp.zeros((), bool), teams, alive)
 
     @cached_property
+    def _bodies(self) -> Bodies:
+        return Bodies(self.scene)
+
+    @cached_property
     def _mortal(self) -> bool:
         """Whether the game ever says that somebody is out of it; the others pay nothing for the question."""
         return type(self).alive is not Arena.alive
@@ -370,22 +406,6 @@ def check_scripts(arena: Arena, name: str) -> Mapping[str, Script]:
     if name not in scripts:
         raise ArenaError(f"arena {arena.name} has no script {name!r}; it has {', '.join(sorted(scripts)) or 'none'}")
     return scripts[name]
-
-
-def _check_rosters(robots: Mapping[str, Sequence[Robot]]) -> None:
-    """Raise ArenaError for teams without a proper name or robot, and for two robots of one kind that act unlike."""
-    if not robots:
-        raise ArenaError("an arena needs at least one team")
-    for team, members in robots.items():
-        if not NAME.fullmatch(team):
-            raise ArenaError(f"team name {team!r}: use a letter, then letters, digits, - and _")
-        if not members:
-            raise ArenaError(f"team {team} has no robots")
-    every = [robot for members in robots.values() for robot in members]
-    for robot in every:
-        sizes = {r.action_size for r in every if r.kind == robot.kind}
-        if len(sizes) > 1:
-            raise ArenaError(f"robots of kind {robot.kind} have {sorted(sizes)} actions: give them kinds of their own")
 
 
 def _hash(rules: Mapping[str, Any], timing: Timing, xml: str) -> str:

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from arenas.arena import NAME, Arena
+from arenas.arena import Arena
+from arenas.rosters import NAME
 from arenas.state import Verdict
 from arenas.trial import Trial
 
@@ -32,6 +33,11 @@ def hooks(trial: Trial) -> str:
     alive = jax.eval_shape(arena.alive, physics, game)
     if _shape(alive) != ((len(arena.agents),), "bool"):
         return f"alive gives {alive.dtype} {alive.shape}, not bool ({len(arena.agents)},)"
+    if arena.privileged_size:
+        whole = {"state": jax.eval_shape(arena.privileged, physics, game, actions)}
+        problem = _wrong("the privileged", whole, {"state": ((arena.privileged_size,), "float32")})
+        if problem:
+            return f"{problem} as privileged_parts has it"
     kinds, drawn = arena.marker_kinds, jax.eval_shape(arena.markers, physics, game)
     if set(kinds) != set(drawn) or set(kinds.values()) - set(MARKERS):
         return f"markers {sorted(drawn)} declared as {dict(kinds)}; kinds: {', '.join(MARKERS)}"

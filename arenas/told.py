@@ -24,7 +24,8 @@ def _parts(arena: Arena) -> str:
             problem = _wrong(parts, size)
             if problem:
                 return f"{what} {problem}"
-    return ""
+    problem = _wrong(arena.privileged_parts(), arena.privileged_size)
+    return f"privileged_parts {problem}" if problem else ""
 
 
 def _wrong(parts: tuple[Part, ...], size: int) -> str:

@@ -63,7 +63,7 @@ def team_of(learner: Learner) -> Team:
         raise ValueError("the update in JAX knows the default learner only")
     if c.precision != "float32":
         raise ValueError("the update in JAX computes in float32 only")
-    if c.critic_input == "all" or not c.fixed_order:
+    if c.critic_input != "own" or not c.fixed_order:
         raise ValueError("the update in JAX knows agents in a fixed order and a critic of its own team only")
     norm = jnp.stack([jnp.asarray(state[f"value_norm.{k}"]) for k in ("mean_sum", "square_sum", "weight")])
     actors = (_network(state, f"actor.{i}") for i in range(len(learner.actors)))

@@ -2,6 +2,8 @@
 
     python benchmarks/train.py --worlds 256 --out benchmarks/results/train-cpu.json
     python benchmarks/train.py --worlds 4096 16384 --seconds 120 --out benchmarks/results/train-h100.json
+    python benchmarks/train.py --rows memory --arena sumo-1v1 --worlds 16 --decisions 8  # and --out memory-cpu.json
+    python benchmarks/train.py --rows memory --arena sumo-2v2-anymal --worlds 16384 --iterations 20
 
 What a row compares takes turns, `--repeats` times after one turn that compiles and is not counted; a ratio is that of
 each pair of turns, by the wall's clock and by CPU time. Speeds are control steps/s of all worlds together, in `league`
@@ -16,6 +18,8 @@ decisions/s. The rows:
 - opponents: rollout and one team's update against K frozen opponents / against one
 - league: a `league run` with past opponents, snapshots, store, rating and recording / rollout and updates alone, before
   and after it; by its curves, which count time within turns, and by the store's dates, which count all
+- memory: the resident set at the end of `--iterations` of rollout and updates of all teams / that after the first tenth
+  of them; on a GPU the target is GB of the device that were in use, beside it (benchmarks/memory.py)
 - quickstart: training in the quick start's league / the bare engine that replays the same controls (CPU only)
 
 Policies are fresh ones with the league's default learner, and go on learning from row to row. Only the league has
@@ -51,6 +55,7 @@ from agents.settings import Precision  # noqa: E402
 from benchmarks import happo_jax  # noqa: E402
 from benchmarks.kernels import profiled  # noqa: E402
 from benchmarks.loop import Ground, Loop, ratio, speeds, timed, turns  # noqa: E402
+from benchmarks.memory import memory  # noqa: E402
 from benchmarks.record import commit, machine, spread  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
 from league.config import presets  # noqa: E402
@@ -80,7 +85,7 @@ def main() -> None:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=[n for n in ROWS if n != "memory"])
     parser.add_argument("--arena", default="sumo-2v2")
     parser.add_argument("--engine", default="auto", help="auto, c, jax, warp")
     parser.add_argument("--worlds", type=int, nargs="+", default=[256])
@@ -89,6 +94,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--decisions", type=int, default=32, help="of a rollout")
     parser.add_argument("--repeats", type=int, default=8, help="turns that are timed")
     parser.add_argument("--warm", type=float, default=8.0, help="seconds of play before the first of them")
+    parser.add_argument("--iterations", type=int, default=1000, help="of the row memory")
     parser.add_argument("--seconds", type=int, default=60, help="of training, for the league")
     parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
     parser.add_argument("--out", type=Path)
@@ -264,7 +270,10 @@ def of_league(ground: Ground, where: Path, seconds: int) -> dict:
 
 @dataclass(frozen=True)
 class Row:
-    """What measures a row, and what is asked of its ratio on a GPU and on a CPU."""
+    """What measures a row, and what is asked of its ratio on a GPU and on a CPU.
+
+    Of `memory` it is asked on a GPU of `device_gb`.
+    """
 
     measure: Callable[[Ground], dict]
     asked: str
@@ -279,6 +288,7 @@ ROWS = {
     "jax": Row(plain_jax, "at most", 1.15, 1.15),
     "opponents": Row(opponents, "at least", 0.90, 0.90),
     "league": Row(league, "at least", 0.90, 0.90),
+    "memory": Row(memory, "at most", 40.0, 1.01),
     "quickstart": Row(quickstart, "at least", None, 0.82),
 }
 

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 
 from arenas.arena import Arena
+from league.memory import of_program
 
 
 class Compiled:
@@ -15,13 +16,15 @@ class Compiled:
         self._program = program
         self._loads_late = arena.engine.name == "warp"  # its kernels are compiled and loaded when they first run
         self._ready: dict[object, Callable[..., Any]] = {}
+        self.bytes = 0  # that the program takes which was compiled last
 
     def ready(self, *args: Any) -> Callable[..., Any]:
         """The program for arguments of these shapes, all of them arrays; what is still to be compiled is, now."""
         leaves, structure = jax.tree.flatten(args)
         shape = structure, tuple((x.shape, x.dtype) for x in leaves)
         if shape not in self._ready:
-            self._ready[shape] = self._program.lower(*args).compile()
+            compiled = self._ready[shape] = self._program.lower(*args).compile()
+            self.bytes = of_program(compiled)
             if self._loads_late:
                 copies = jax.tree.map(lambda x: x.copy(), args)  # a run may use its arguments up
                 jax.block_until_ready(self._ready[shape](*copies))

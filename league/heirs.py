@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from league import exchange
+from league.config import toml
 from storage import arrays
 from storage.errors import StorageError, UnknownName
 from storage.records import Player
@@ -50,15 +51,16 @@ def heritage(
     """What each player starts from; `before` are the players of other leagues, the nearest league first.
 
     A critic and its value normaliser go on where the player it was of had the same roster and is the one from which
-    all actors come: then its input fits. One that sees all teams needs the same rosters of all. Raises Misfit, one line
-    with both rosters.
+    all actors come: then its input fits. One that sees all teams needs the same rosters of all, and one that judges for
+    all of them the same for each. One that sees the whole state starts afresh: another arena has another state. Raises
+    Misfit, one line with both rosters.
     """
     taken: dict[str, int] = {}  # kind -> how many agents of it went on already
     found = {}
     for player in players:
         actors = tuple(_source(agent, before, taken) for agent in player.roster.split("+"))
         critic = _critic(player, actors, before)
-        if critic and critic_input == "all" and _rosters(player, players) != _rosters(*_of(before, critic)):
+        if critic and not _fits(critic_input, player, players, *_of(before, critic)):
             critic = None
         found[player.name] = Heritage(actors, critic)
     return found
@@ -97,6 +99,15 @@ def _critic(
 def _of(before: Sequence[Sequence[Player]], owner: tuple[str, str]) -> tuple[Player, Sequence[Player]]:
     """A player of an earlier league, and all of that league."""
     return next((p, league) for league in before for p in league if (p.league, p.name) == owner)
+
+
+def _fits(sees: str, player: Player, league: Sequence[Player], owner: Player, before: Sequence[Player]) -> bool:
+    """Whether a critic of another league's player has the input that this one's is to have."""
+    if sees == "all":
+        return _rosters(player, league) == _rosters(owner, before)
+    if sees == "same":
+        return {p.team: p.roster for p in league} == {p.team: p.roster for p in before}
+    return sees == "own"
 
 
 def _rosters(player: Player, league: Sequence[Player]) -> list[str]:
@@ -146,10 +157,19 @@ def _frozen(name: str) -> Player:
 def of(store: Store, players: Sequence[Player], after: Sequence[str], critic_input: str = "own") -> dict[str, Heritage]:
     """What the players of a league start from, by what the store holds of the leagues named in `after`.
 
-    Raises UnknownName as `forerunners` does, Misfit as `heritage`.
+    A critic that saw something else starts afresh. Raises UnknownName as `forerunners` does, Misfit as `heritage`.
     """
     order = sorted(players, key=lambda p: (p.role != "main", p.team, p.name))
-    return heritage(order, forerunners(store, after), critic_input)
+    return {
+        name: each._replace(critic=None) if each.critic and _saw(store, each.critic[0]) != critic_input else each
+        for name, each in heritage(order, forerunners(store, after), critic_input).items()
+    }
+
+
+def _saw(store: Store, league: str) -> str:
+    """What the critics of a league of this store see."""
+    learner = toml.parse(store.league(league).config, league).get("learner", {})
+    return str(learner.get("critic_input", "own"))
 
 
 def start(store: Store, learner: "Learner", heritage: Heritage) -> str | None:

@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 from arenas.about import crowd
 from arenas.blame import blame, sources
-from league import devices
+from league import devices, memory
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
+from league.fading import floor
 from league.heirs import Misfit, forerunners, heritage
 from storage.errors import NotAStore
 from storage.records import League, Player
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from arenas.arena import Arena
 
 CPU_WORLDS, GPU_WORLDS = 256, 2048  # below 2,000 worlds a GPU waits for launches; more on a CPU make updates rarer
-MEMORY_SHARE = 0.8  # of the machine's, for one batch of experience with what learning makes of it
-COPIES = 4  # of each number in a batch: as collected, cleaned, in what an actor learns from, and in the order of a pass
 
 
 @dataclass(frozen=True)
@@ -115,9 +114,12 @@ def examine(config: Config) -> "Arena":
     if config.budget.success is not None and len(teams) > 1:
         told = f"{arena.name} has {len(teams)} teams, and success is for one alone; use budget.reward or budget.steps"
         raise refuse(("budget", "success"), config.budget.success, told)
-    if config.learner.critic_input == "all" and len(teams) == 1:
-        told = f"{arena.name} has one team, and there are no others to see; use own"
-        raise refuse(("learner", "critic_input"), config.learner.critic_input, told)
+    _examine_critic(config, arena)
+    least, until = floor(len(teams)), config.training.shaping_until
+    if until is not None and until <= least:
+        told = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
+        raise refuse(("training", "shaping_until"), until, told)
+    _examine_groups(config, len(teams))
     _examine_players(config, teams)
     _examine_ladder(config, arena)
     _examine_scripts(config, arena)
@@ -153,12 +155,14 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     Raises StorageError, before anything is written, where the league has players that contradict these.
     """
     from league.exchange import bring_in_trained
+    from league.fits import examine_checkpoints, examine_start
     from league.policies import add_scripts
     from league.query import Open
 
     players = players_of(config, arena)
     if config.league in {league.name for league in store.leagues()}:
         _examine_rosters(store, config, arena, players)
+        examine_checkpoints(store, config, arena, players)
         gone = sorted({p.name for p in store.players(config.league)} - {p.name for p in players})
         if gone:
             raise ConfigError(
@@ -167,6 +171,8 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
                 " [[players]], or choose another league name",
             )
         store.add_players(players)  # refuses those that contradict what is there
+    elif config.after:
+        examine_start(store, config, arena, players)
     store.create_league(League(config.league, configuration.dumps(config)))
     store.add_players(players)
     add_scripts(store, config.league, arena, _scripts(config, arena))
@@ -236,6 +242,30 @@ def _trace(arena: "Arena") -> None:
     jax.eval_shape(arena.step, state, actions)
 
 
+def _examine_critic(config: Config, arena: "Arena") -> None:
+    """What the critic is to see must be there to be seen."""
+    sees, told = config.learner.critic_input, ""
+    if sees in ("all", "same") and len(arena.teams) == 1:
+        told = f"{arena.name} has one team, and there are no others to see; use own"
+    if sees == "privileged" and not arena.privileged_size:
+        told = f"{arena.name} has no bodies, and offers no state beside what is observed; use own or all"
+    if told:
+        raise refuse(("learner", "critic_input"), sees, told)
+
+
+def _examine_groups(config: Config, teams: int) -> None:
+    """Every group of a turn needs a world: one group, or some, of present opponents, and each learner's past ones."""
+    present, past = config.training.opponents.split()
+    learners = teams if config.training.schedule.kind == "simultaneous" else 1
+    groups, count = present + past * learners, worlds(config)
+    if past and teams > 1 and groups > count:
+        told = (
+            f"{learners} who learn meet past opponents in {past} groups each, beside {present} of present ones: with"
+            f" {count} worlds there can be no {groups} groups; use more training.worlds, or fewer groups"
+        )
+        raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, told)
+
+
 def _examine_players(config: Config, teams: list[str]) -> None:
     for i, player in enumerate(config.players):
         if player.team not in teams:
@@ -295,10 +325,11 @@ def _examine_device(config: Config, arena: "Arena") -> None:
 
 def _examine_memory(config: Config, arena: "Arena") -> None:
     """Refuse a batch of experience that cannot fit, rather than be killed by the operating system over it."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    per_decision = 4 * sum(agent.observation_size + 2 * agent.action_size + 8 for agent in arena.agents)
-    needed = COPIES * worlds(config) * config.training.rollout * per_decision
-    if needed > MEMORY_SHARE * total:
+    import jax
+
+    at_once = 1 if jax.default_backend() == "gpu" else len(arena.teams)
+    total, needed = memory.machine(), memory.learning(config, arena, worlds(config), at_once)
+    if needed > memory.SHARE * total:
         raise ConfigError(
             ("training", "worlds"),
             f"training.worlds × training.rollout = {worlds(config)} × {config.training.rollout}: such a batch needs"

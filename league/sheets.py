@@ -38,6 +38,7 @@ class Sheet:
     roles: tuple[Role, ...]
     legend: Legend
     scripts: Mapping[str, tuple[str, ...]]  # team -> those that all its robots know
+    privileged: tuple[Part, ...]  # what critics may see beside; empty where there is no such
     settings: "Settings"
 
     @property
@@ -74,7 +75,8 @@ def sheet(settings: "Settings") -> Sheet:
     return Sheet(
         settings.name, outline(settings, arena),
         tuple(Role(kind, tuple(agents), sees, acts) for (kind, sees, acts), agents in roles.items()),
-        _worded(arena.legend(), settings), {team.name: arena.playable(team) for team in arena.teams}, settings,
+        _worded(arena.legend(), settings), {team.name: arena.playable(team) for team in arena.teams},
+        arena.privileged_parts(), settings,
     )  # fmt: skip
 
 
@@ -155,6 +157,7 @@ def as_json(found: Sheet) -> dict[str, object]:
             }
             for role in found.roles
         ],
+        "privileged": [{"index": i, **part._asdict()} for i, part in indexed(found.privileged)],
         **asdict(found.legend),
         "settings": asdict(found.settings),
     }  # fmt: skip

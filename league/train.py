@@ -19,14 +19,14 @@ import jax.numpy as jnp
 from jax import Array
 
 from agents.batch import Batch
-from agents.bridge import team_batch, to_jax
+from agents.bridge import common_size, team_batch, to_jax
 from agents.errors import Diverged
 from agents.happo import Learner
 from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
 from arenas.arena import Arena
 from arenas.state import TeamSpec
-from league import heirs
+from league import fading, heirs, memory
 from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
@@ -80,8 +80,9 @@ class Trainer:
     def __init__(self, config: Config, arena: Arena, players: Sequence[Player], worlds: int):
         self.config, self.arena, self.asked = config, arena, worlds
         self.players = {player.name: player for player in players}
-        self.learners = {player.name: _new_learner(config, arena, player) for player in players}
+        self.learners = {player.name: new_learner(config, arena, player) for player in players}
         self.counters = {player.name: Counters() for player in players}
+        self._fading = {name: fading.begun(config.training, len(arena.teams)) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
         self._points: list[CurvePoint] = []
@@ -91,9 +92,12 @@ class Trainer:
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
         self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
-        self._rollout = Compiled(make_rollout(arena, config.training.rollout), arena)
+        privileged = config.learner.critic_input == "privileged"
+        self._rollout = Compiled(make_rollout(arena, config.training.rollout, privileged), arena)
         self._shapes = self._architectures()
         self._each = beside(list(self.learners.values()))
+        self._device = next(iter(self.learners.values())).device
+        self._room = memory.room(self._device)
 
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Learn, and yield after every iteration; end early, between two iterations, when `stop()` says so.
@@ -140,7 +144,8 @@ class Trainer:
         checkpoints, snapshots = [], []
         for name in learnt:
             learner, at = self.learners[name], self.counters[name]
-            digest = store.blobs.put(arrays.to_bytes(learner.state()))
+            fades = self._fading[name]
+            digest = store.blobs.put(arrays.to_bytes(learner.state() | (fades.state() if fades else {})))
             league = self.players[name].league
             checkpoints.append(Checkpoint(league, name, digest, at.steps, at.iteration, at.seconds, key))
         for name in filter(None, turn.present):
@@ -150,6 +155,12 @@ class Trainer:
         store.finish(lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points, keep=keep)
         self._points = []
         self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
+
+    def too_large(self) -> memory.TooLarge:
+        """What to say where a turn ran out of memory: what it needed, by XLA's count and the numbers of a batch."""
+        at_once = len(self.arena.teams) if self._device.type == "cpu" else 1
+        needed = self._rollout.bytes + memory.learning(self.config, self.arena, self.asked, at_once)
+        return memory.TooLarge(memory.words(self.config, self.asked, needed, self._room))
 
     # An iteration ----------------------------------------------------------------------------------------------------
 
@@ -189,10 +200,11 @@ class Trainer:
             return error
 
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
-        team = self.players[name].team
+        team, sees = self.players[name].team, self.config.learner.critic_input
         return team_batch(
-            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(self.counters[name]),
-            others=_others(self.config, self.arena, team),
+            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(name),
+            others=_others(self.config, self.arena, team), privileged=sees == "privileged",
+            common=self.arena.teams if sees == "same" else (),
         )  # fmt: skip
 
     def _count(
@@ -202,8 +214,10 @@ class Trainer:
         at = self.counters[name]
         now = Counters(at.iteration + 1, before.steps + steps, before.seconds + elapsed)
         self.counters[name] = now
+        if fades := self._fading[name]:
+            fades.note(figures)
         values = {
-            **figures, "steps_per_second": steps / elapsed, "shaping_weight": self._shaping(now),
+            **figures, "steps_per_second": steps / elapsed, "shaping_weight": self._shaping(name),
             "begun_anew": self._begun_anew if at == before else 0.0,
         }  # fmt: skip
         return CurvePoint(self.players[name].league, name, now.iteration, now.steps, now.seconds, values)
@@ -221,10 +235,10 @@ class Trainer:
             for i, agent in enumerate(team.agents)
         }
 
-    def _shaping(self, at: Counters) -> float:
-        """Weight of the dense reward: it fades linearly to none."""
-        span = self.config.training.shaping_steps
-        return max(0.0, 1.0 - at.steps / span) if span else 0.0
+    def _shaping(self, name: str) -> float:
+        """Weight of a player's dense reward as it stands."""
+        fades = self._fading[name]
+        return fades.weight if fades else fading.by_steps(self.config.training, self.counters[name].steps)
 
     # Before and after ------------------------------------------------------------------------------------------------
 
@@ -254,6 +268,9 @@ class Trainer:
             self.learners[name].inherit([(state, i) for i in agents], None)
             iteration = own.iteration + now.iteration - phase.since.get(learner, 0)
             self.counters[name] = Counters(iteration, max(own.steps, now.steps), max(own.seconds, now.seconds))
+            mine, theirs = self._fading[name], self._fading[learner]
+            if mine and theirs:
+                mine.follow(theirs)
         self._parents = dict.fromkeys(self._copied, store.snapshots(phase.league, learner)[-1].name)
         self._worlds.pop(turn.group)  # an episode against two opponents in turn is neither's game
 
@@ -265,7 +282,10 @@ class Trainer:
         for name, digest in turn.bases.items():
             player = self.players[name]
             if digest and (digest != self._at[name] or turn.dice):
-                self.learners[name].load(arrays.from_bytes(store.blobs.get(digest)))
+                state = arrays.from_bytes(store.blobs.get(digest))
+                self.learners[name].load(state)
+                if fades := self._fading[name]:
+                    fades.load(state)
                 self._worlds.pop(turn.group, None)  # they belong to a history that is not the store's
                 if turn.dice:
                     self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{turn.dice}".encode()))
@@ -354,7 +374,7 @@ def random_key(seed: int, purpose: str, number: int) -> Array:
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), crc32(purpose.encode())), number)
 
 
-def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
+def new_learner(config: Config, arena: Arena, player: Player) -> Learner:
     """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
     agents = arena.teams[player.team].agents
     settings = config.learner
@@ -366,7 +386,9 @@ def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
     seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     others = [a.observation_size for team in _others(config, arena, player.team) for a in team.agents]
-    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others)
+    sees = settings.critic_input
+    sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
+    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others, sight)
 
 
 def _others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from league import devices, environment
 from league.config import experiment as configuration
 from league.jobs import RatingMatch, Task, TrainingTurn, decode
+from league.memory import TooLarge, is_short
 from league.plan import next_turns
 from league.standing import Standing
 from storage.errors import Away, LeaseLost, StorageError
@@ -122,6 +123,8 @@ class Worker:
             self._patiently(lambda: self.store.release(lease))
         except StorageError as error:
             self._fail(lease, str(error))
+        except TooLarge as error:
+            self._fail(lease, str(error), tries=1)  # it would be too large again
         except Exception as error:
             import traceback
 
@@ -129,9 +132,9 @@ class Worker:
         finally:
             self.lease = None
 
-    def _fail(self, lease: Lease, reason: str) -> None:
+    def _fail(self, lease: Lease, reason: str, tries: int | None = None) -> None:
         self.status = {"doing": f"failed: {reason.partition(chr(10))[0]}"}
-        self._patiently(lambda: self.store.fail(lease, reason, tries=self.config.workers.tries))
+        self._patiently(lambda: self.store.fail(lease, reason, tries=tries or self.config.workers.tries))
 
     def _patiently(self, verb: Callable[[], R]) -> R | None:
         """Do it as soon as the store is there, however long that takes; None if it is time to stop before."""
@@ -163,8 +166,10 @@ class Worker:
             player, reason = error.player, str(error)
             self.status = {"doing": reason}
             self._patiently(lambda: self.store.setback(lease, player, reason))
-        except BaseException:
+        except BaseException as error:
             self._heavy.pop("trainer", None)  # it may stand anywhere; the store knows better
+            if is_short(error):
+                raise trainer.too_large() from error
             raise
         if not self.stopping.is_set():
             self._ask_on()

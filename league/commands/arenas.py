@@ -80,6 +80,9 @@ def _all_about(name: str, format: Literal["table", "json"]) -> str:
         blocks += [
             _titled(f"{role.kind} acts with {sheets.size(role.action)}", render(sheets.part_rows(role.action), PARTS))
         ]
+    if sheet.privileged:
+        title = f"a critic that may see the whole state (learner.critic_input) sees {sheets.size(sheet.privileged)}"
+        blocks += [_titled(title, render(sheets.part_rows(sheet.privileged), PARTS))]
     if sheet.legend.score:
         blocks += [_titled("score", _wrapped(sheet.legend.score))]
     if terms := sheets.term_rows(sheet.legend):

@@ -16,6 +16,8 @@ from league.commands.progress import NEXT, Ticker, summary
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.daemon import DaemonError, Manager, Stage
+from league.jobs import TrainingTurn
+from league.memory import SHORT
 from league.prepare import Prepared, prepare
 from league.versions import versions
 from storage.store import Store
@@ -42,7 +44,15 @@ def manage(task: Task, leads: Callable[[], None] = lambda: None) -> int:
             _walk(store, task, config, leads)
         elif _run(store, task.where, config, task.prepared, leads) != "stopped":
             print(f"\n{summary(config, curriculum.standing(store, config))}")
+            _refuse_too_large(store, config)
     return 0
+
+
+def _refuse_too_large(store: Store, config: Config) -> None:
+    """Raise DaemonError, one line with what would fit, where training ran out of memory and therefore ended."""
+    for job in store.jobs(config.league, "failed"):
+        if job.kind == TrainingTurn.kind and (job.error or "").startswith(SHORT):
+            raise DaemonError(str(job.error))
 
 
 def _run(store: Store, where: str, config: Config, prepared: Prepared, leads: Callable[[], None]) -> Stage:
@@ -75,6 +85,7 @@ def _walk(store: Store, task: Task, config: Config, leads: Callable[[], None]) -
                 return
             leads, standing = (lambda: None), curriculum.standing(store, stage)
         why = curriculum.ended(stage, standing)
+        _refuse_too_large(store, stage)
         if why is None and not last:
             raise DaemonError(
                 f"stage {config.stages[number].name} stands still before its end, and the next one does not begin:"

@@ -17,6 +17,7 @@ from league.config.durations import seconds
 from league.config.experiment import Budget, Config
 from league.config.schema import ConfigError
 from league.daemon import DaemonError
+from league.jobs import TrainingTurn
 from league.liveness import leader
 from league.plan import cut_short, spent, trained_enough
 from league.prepare import prepare
@@ -48,12 +49,18 @@ def run(args: list[str]) -> int:
                 print(done)
                 return 0
             return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
-        standing = Standing.of(store, config.league, recent=config.budget.window)
+        standing = _tried_again(Standing.of(store, config.league, recent=config.budget.window))
         config = _with_budget(asked, standing)
         if trained_enough(config, standing) and not (config.workers.match and cut_short(config, standing)):
             print(f"{summary(config, standing)}\n\n{_had_enough(config)}")
             return 0
     return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
+
+
+def _tried_again(standing: Standing) -> Standing:
+    """The standing as the manager will find it: a turn that was set aside is tried again when a person runs it."""
+    kept = [job for job in standing.jobs if (job.kind, job.state) != (TrainingTurn.kind, "failed")]
+    return replace(standing, jobs=kept)
 
 
 def _go(asked: Asked, task: Task) -> int:

@@ -12,6 +12,8 @@ from matchmaking.schedule import Schedule
 
 MOST_WORLDS = 2**20  # beyond it no machine of today has the memory, and a slip of the keyboard is likelier
 
+FADE_STEPS = 500_000  # environment steps over which the dense reward fades by default
+
 
 def _is_duration(value: Any) -> None:
     seconds(value)
@@ -67,8 +69,11 @@ class Training:
     """Which teams learn when."""
     opponents: Opponents = field(default_factory=Opponents)
     """Whom they learn against."""
-    shaping_steps: int = field(default=500_000, metadata={"low": 0})
-    """Environment steps over which the dense reward fades from full weight to none (0: outcome only)."""
+    shaping_steps: int | None = field(default=None, metadata={"low": 0})
+    """Environment steps over which the dense reward fades from full weight to none (0: outcome only; none: 500,000, or
+    as shaping_until says)."""
+    shaping_until: float | None = field(default=None, metadata={"above": 0.0, "high": 1.0})
+    """The dense reward fades as the player's score rises instead, and is gone at this one (none: by steps)."""
     snapshots_per_doubling: int = field(default=1, metadata={"low": 1, "high": 16})
     """A snapshot at iterations 1, 2, 4, 8, ...; more of them in between with 2 or more."""
     resting_critics: bool = True
@@ -77,6 +82,18 @@ class Training:
     """First episodes begin at different times, so that long ones do not all end together."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where torch learns."""
+
+    def __post_init__(self) -> None:
+        """Refuse two ways at once in which the dense reward fades."""
+        if self.shaping_until is not None and self.shaping_steps is not None:
+            raise ValueError(
+                'shaping_until: the dense reward fades by success or over shaping_steps, not both; set one to "none"'
+            )
+
+    @property
+    def fade_steps(self) -> int:
+        """Environment steps over which the dense reward fades, where it does not follow success."""
+        return FADE_STEPS if self.shaping_steps is None else self.shaping_steps
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agents.bridge import team_batch
+from agents.bridge import common_order, common_size, team_batch
 from agents.rollout import Trajectory
 from arenas.state import AgentSpec, TeamSpec
 
@@ -78,3 +78,42 @@ def test_who_breaks_physics_has_lost_and_the_others_know_nothing_of_it(trajector
 
     blue = TeamSpec("blue", (AgentSpec("blue/0", "ant", 4, 1),))
     assert np.array_equal(team_batch(told, blue, 0, slice(None), shaping=0.5).void.cpu(), void)
+
+
+def test_a_critic_of_the_whole_state_gets_it_with_what_its_team_earned(trajectory):
+    whole = tuple(encoded(field, 0, 4) for field in (8, 9))
+    batch = team_batch(trajectory._replace(whole=whole), RED, 1, np.array([4, 0]), shaping=0.5, privileged=True)
+    (side,) = batch.sides
+    np.testing.assert_array_equal(side.seen.cpu(), whole[0][:, [4, 0]])
+    np.testing.assert_array_equal(side.next_seen.cpu(), whole[1][:, [4, 0]])
+    assert all(x is y for x, y in zip(side[2:], (batch.rewards, batch.terminated, batch.void), strict=True))
+    assert not team_batch(trajectory, RED, 1, slice(None), shaping=0.5).sides
+
+
+BLUE = TeamSpec("blue", (AgentSpec("blue/0", "ant", 4, 1),))
+
+
+def test_a_common_critic_learns_from_every_team_by_its_own_rewards_and_is_told_whose_they_are(trajectory):
+    blamed = np.zeros((T, N, 2), bool)
+    blamed[..., 1] = np.array(trajectory.void)
+    told = trajectory._replace(culprits=jnp.asarray(blamed))
+    mine = np.array([4, 0])
+    batch = team_batch(told, RED, 1, mine, shaping=0.5, common=(BLUE, RED))
+    assert common_size((BLUE, RED)) == 2 + 4 + 2 + 3
+    for side, index in zip(batch.sides, (1, 0), strict=True):
+        alone = team_batch(told, (BLUE, RED)[index], index, mine, shaping=0.5)
+        for ours, theirs in zip(side[2:], (alone.rewards, alone.terminated, alone.void), strict=True):
+            np.testing.assert_array_equal(ours.cpu(), theirs.cpu())
+        seen = [np.broadcast_to(np.eye(2)[index], (T, 2, 2))]  # unlike rosters: always blue's, then red's
+        for field, found in ((1, side.seen), (2, side.next_seen)):
+            agents = [encoded(field, a, AGENTS[name][0])[:, mine] for a, name in enumerate(AGENTS)]
+            np.testing.assert_array_equal(found.cpu(), np.concatenate([*seen, *agents], -1))
+    assert batch.sides[0].terminated.any() and not batch.sides[0].void.any()  # noqa: PT018  (who breaks it has lost)
+    assert batch.sides[1].void.any()
+
+
+def test_teams_of_one_roster_see_themselves_in_one_place():
+    ants, rovers = ((AgentSpec("a", "ant", 4, 1),), (AgentSpec("r", "rover", 4, 1),))
+    teams = [TeamSpec(str(i), agents) for i, agents in enumerate((rovers, ants, ants, rovers))]
+    assert [common_order(teams, t) for t in range(4)] == [[0, 1, 2, 3], [0, 1, 2, 3], [0, 2, 1, 3], [3, 1, 2, 0]]
+    assert [common_order(teams[:2], t) for t in range(2)] == [[0, 1], [0, 1]]

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from agents.batch import Batch, clean
+from agents.batch import Batch, Side, clean
 from agents.errors import Diverged
 from agents.happo import Learner
 from agents.settings import Architecture, HappoConfig
@@ -278,6 +278,89 @@ def test_a_critic_may_see_the_other_teams(experience, same):
     assert np.isfinite(list(figures.values())).all()
 
 
+def with_sides(batch: Batch, sides: int, size: int = 7, seed: int = 12) -> Batch:
+    """The batch with what a critic sees from the team's own side and others; those end and break elsewhere."""
+    rng = torch.Generator().manual_seed(seed)
+    shape = batch.rewards.shape
+
+    def side(number: int) -> Side:
+        seen, then = (torch.randn((*shape, size), generator=rng) for _ in range(2))
+        if number == 0:
+            return Side(seen, then, batch.rewards, batch.terminated, batch.void)
+        ends, broken = (torch.rand(shape, generator=rng) < 0.1 for _ in range(2))
+        return Side(seen, then, torch.randn(shape, generator=rng) - 1.0, ends, broken)
+
+    return batch._replace(sides=[side(number) for number in range(sides)])
+
+
+@pytest.mark.parametrize(("critic_input", "sides"), [("privileged", 1), ("same", 3)])
+def test_a_critic_that_sees_something_else_learns_from_that_alone(critic_input, sides, experience, same):
+    config = replace(FULL, critic_input=critic_input)
+    states = []
+    for garbage in (None, float("nan")):
+        learner = new_learner(config, sight=7)
+        batch = with_sides(experience(learner, seed=4, void=0.1), sides)
+        if garbage is not None:  # what is void means nothing, whatever its numbers say
+            for side in batch.sides:
+                for x in (side.seen, side.next_seen, side.rewards):
+                    x[side.void] = garbage
+        network = copy.deepcopy(learner.critic_learners[0].network)
+        critique = learner.critic_learners[0].criticise(clean(batch))
+        figures = learner.update(batch)
+        states.append(learner.state())
+    assert same(*states)
+    assert np.isfinite(list(figures.values())).all()
+    seen = torch.cat([side.seen.flatten(0, 1) for side in batch.sides])
+    valid = ~torch.cat([side.void.flatten() for side in batch.sides])
+    assert torch.equal(critique.valid, valid)
+    with torch.no_grad():
+        torch.testing.assert_close(critique.predictions[valid], network(seen[valid]))
+    own = batch.rewards.numel()
+    assert critique.advantages.shape == (own,)
+    torch.testing.assert_close(critique.returns[:own], critique.advantages + critique.values[:own])
+    assert learner.observation_counts[-1] == valid.sum()
+    np.testing.assert_allclose(states[0]["critic.trunk.observation_mean"], seen[valid].mean(0), atol=1e-5)
+
+
+def test_a_critic_common_to_all_teams_learns_as_one_to_whom_all_of_them_were_worlds_of_one_team(experience):
+    config = replace(PLAIN, gamma=0.97, critic_input="same", value_norm=True)
+    common = new_learner(config, sight=7)
+    batch = with_sides(experience(common, seed=4, void=0.1), 3)
+    one = Learner([7], [2], replace(config, critic_input="own"), seed=3)
+    one.critic_learners[0].network.load_state_dict(common.critic_learners[0].network.state_dict())
+    fields = [torch.cat(each, 1) for each in zip(*batch.sides, strict=True)]
+    wide = experience(one, seed=5, N=3 * batch.rewards.shape[1])
+    wide = wide._replace(
+        observations=[fields[0]], next_observations=[fields[1]], rewards=fields[2], terminated=fields[3],
+        void=fields[4], truncated=torch.cat([batch.truncated] * 3, 1),
+    )  # fmt: skip
+    before = copy.deepcopy(common.critic_learners[0].network)
+    told, alike = common.critic_learners[0].criticise(clean(batch)), one.critic_learners[0].criticise(clean(wide))
+    T, N = batch.rewards.shape
+    torch.testing.assert_close(told.advantages.view(T, N), alike.advantages.view(T, 3 * N)[:, :N])
+    figures = common.update_critic_only(batch)
+    assert figures == pytest.approx(one.update_critic_only(wide), abs=1e-5)
+    assert gap(common.critic_learners[0].network, one.critic_learners[0].network) < 1e-6
+    assert gap(before, one.critic_learners[0].network) > 1e-3
+
+
+@pytest.mark.parametrize(("critic_input", "sides"), [("privileged", 1), ("same", 2)])
+def test_such_a_critic_goes_on_from_its_checkpoint_as_if_nothing_had_been(critic_input, sides, experience, same):
+    config = replace(FULL, critic_input=critic_input)
+    learner = new_learner(config, sight=7)
+    learner.update(with_sides(experience(learner, seed=1, void=0.1), sides))
+    saved = arrays.to_bytes(learner.state())
+    assert {k.split(".")[0] for k in learner.state()} == {k.split(".")[0] for k in new_learner(FULL).state()}
+    then = with_sides(experience(learner, seed=9), sides, seed=5)
+    figures = learner.update(then)
+    resumed = new_learner(config, seed=77, sight=7)
+    resumed.load(arrays.from_bytes(saved))
+    assert resumed.update(then) == figures
+    assert same(resumed.state(), learner.state())
+    with pytest.raises(ValueError, match=r"does not fit this learner: critic\.trunk\."):
+        new_learner(FULL).load(learner.state())
+
+
 # Checkpoints ----------------------------------------------------------------------------------------------------------
 
 VARIANTS = {
@@ -384,6 +467,8 @@ def test_shared_and_single_actors_go_on_from_each_other(experience):
         ({"precision": "float16"}, "learner.precision"),
         ({"method": "a2c"}, "learner.method"),
         ({"method": "ippo", "critic_input": "all"}, "ippo's critics see what their own agents see"),
+        ({"method": "ippo", "critic_input": "privileged"}, "ippo's critics see what their own agents see"),
+        ({"method": "ippo", "critic_input": "same"}, "ippo's critics see what their own agents see"),
         ({"method": "hatrpo", "kl_stop": 0.01}, "learner.kl_stop"),
         ({"method": "hatrpo", "kl_step": 0.01}, "learner.kl_step"),
         ({"kl_step": 0.01, "decay_steps": 10}, "not both"),

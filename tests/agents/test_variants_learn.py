@@ -1,6 +1,7 @@
 """Games that variants are for, and the cheapest arena, which every variant learns."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import pytest
@@ -8,7 +9,7 @@ import torch
 
 import arenas
 from agents.batch import Batch
-from agents.bridge import team_batch, to_jax
+from agents.bridge import common_size, team_batch, to_jax
 from agents.happo import Learner
 from agents.policy import crew
 from agents.rollout import make_reset, make_rollout, outcomes, scripts_of
@@ -89,6 +90,7 @@ VARIANTS = {
     "squashed": {"architecture": Architecture((8,), squash=2.0)},
     "state_std": {"architecture": Architecture((8,), state_std=True)},
     "all teams": {"critic_input": "all"},
+    "same critic": {"critic_input": "same"},
     "shared": {"share_actors": True},
 }
 
@@ -99,17 +101,40 @@ def test_every_variant_learns_the_answer_to_rock(variant, game):
     arena, worlds, rollout = game
     worlds = jax.tree.map(lambda x: x.copy(), worlds)  # a rollout uses them up
     config = replace(HappoConfig(Architecture((8,)), lr=0.01), **variant)
-    learner = Learner([1], [3], config, seed=0, device="auto", others=[1])
+    learner = Learner([1], [3], config, seed=0, device="auto", others=[1], sight=common_size(arena.teams))
     others = [arena.teams[1]] if config.critic_input == "all" else []
+    common = arena.teams if config.critic_input == "same" else []
     rock = crew([list(scripts_of(arena, "chooser")).index("rock")] * 2)
     scores = []
     for iteration in range(20):
         crews = {"blue/0": crew(to_jax(learner.policies()) * 2), "red/0": rock}
         worlds, trajectory = rollout(crews, worlds, jax.random.key(iteration))
-        learner.update(team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=0.0, others=others))
+        seen = {"others": others, "common": common}
+        learner.update(team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=0.0, **seen))
         scores.append(outcomes(trajectory, 0, slice(None))["score"])
     assert scores[0] < 0.6
     assert scores[-1] > 0.8
+
+
+@pytest.mark.slow
+def test_a_critic_of_the_whole_state_teaches_a_puck_the_way_to_the_flag():
+    """The cheapest arena has no bodies, and so no state to see: this is the cheapest that has."""
+    arena = arenas.settings(f"{Path(__file__).parents[1] / 'arenas' / 'race.py'}:race").build(engine="c", threads=1)
+    rollout = make_rollout(arena, length=40, privileged=True)
+    worlds = make_reset(arena, stagger=False)(jax.random.split(jax.random.key(1), 64))
+    config = HappoConfig(Architecture((16,)), lr=0.01, critic_lr=0.01, critic_input="privileged")
+    learner = Learner([6], [2], config, seed=0, device="auto", sight=arena.privileged_size)
+    idle = crew([list(scripts_of(arena, "puck")).index("idle")] * 2)
+    scores, explained = [], []
+    for iteration in range(14):
+        crews = {"blue/0": crew(to_jax(learner.policies()) * 2), "red/0": idle}
+        worlds, trajectory = rollout(crews, worlds, jax.random.key(iteration))
+        batch = team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=1.0, privileged=True)
+        explained.append(learner.update(batch)["explained_variance"])
+        scores.append(outcomes(trajectory, 0, slice(None))["score"])
+    assert scores[0] < 0.6
+    assert scores[-1] > 0.8
+    assert explained[-1] > 0.3
 
 
 def test_the_order_of_teams_changes_no_teams_update(game, same):

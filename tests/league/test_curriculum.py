@@ -136,6 +136,13 @@ def test_a_critic_of_all_teams_goes_on_where_all_rosters_are_the_same():
     ]  # fmt: skip
 
 
+def test_a_common_critic_goes_on_among_the_same_teams_and_one_of_the_whole_state_in_no_other_league():
+    again = [player("cup.again", p.name, p.team, p.roster) for p in PUSHED]
+    for sees, found in (("same", [("cup.dogs", "blue"), ("cup.dogs", "red")]), ("privileged", [None, None])):
+        assert [found.critic for found in heirs.heritage(again, [PUSHED], sees).values()] == found
+        assert {found.critic for found in heirs.heritage(PUSHED, [WALKED], sees).values()} == {None}
+
+
 def test_who_has_no_forerunner_starts_afresh_and_that_is_said():
     found = heirs.heritage(DROVE, [PUSHED, WALKED])
     assert set(found.values()) == {Heritage((None,), None)}

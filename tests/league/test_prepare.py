@@ -62,13 +62,21 @@ def test_ladder_needs_equal_rosters_and_equal_networks():
         examine(ladder("sumo-1v1", f"{players}hidden = [8]\n"))
 
 
-def test_a_critic_of_all_teams_needs_other_teams():
-    def critic_of_all(arena: str) -> configuration.Config:
-        return configuration.loads(f'arena.name = "{arena}"\n[learner]\ncritic_input = "all"\n')
+@pytest.mark.parametrize(
+    ("sees", "fits", "not_in", "says"),
+    [
+        ("all", "rock-paper-scissors", f"{ROOT}/tests/arenas/solo.py:solo", "has one team.*; use own$"),
+        ("same", "rock-paper-scissors", f"{ROOT}/tests/arenas/solo.py:solo", "has one team.*; use own$"),
+        ("privileged", f"{ROOT}/tests/arenas/solo.py:solo", "rock-paper-scissors", "has no bodies.*; use own or all$"),
+    ],
+)
+def test_what_a_critic_is_to_see_must_be_there(sees, fits, not_in, says):
+    def seeing(arena: str) -> configuration.Config:
+        return configuration.loads(f'arena.name = "{arena}"\n[learner]\ncritic_input = "{sees}"\n')
 
-    assert examine(critic_of_all("rock-paper-scissors")).name == "rock-paper-scissors"
-    with pytest.raises(ConfigError, match=r"learner\.critic_input = \"all\": .* has one team.*; use own$"):
-        examine(critic_of_all(f"{ROOT}/tests/arenas/solo.py:solo"))
+    assert examine(seeing(fits)).name == fits
+    with pytest.raises(ConfigError, match=rf"learner\.critic_input = \"{sees}\": .* {says}"):
+        examine(seeing(not_in))
 
 
 def test_a_refused_league_leaves_nothing_and_a_good_one_is_whole(tmp_path, monkeypatch):

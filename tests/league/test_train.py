@@ -126,6 +126,21 @@ def test_variants_of_the_learner_go_on_in_another_process(store, arena):
     assert [p.values["lr"] for p in points] == pytest.approx([1e-3, 1e-3 * (1 - state["steps"] / 2 / 800)])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("sees", "size"), [("privileged", 68), ("same", 42)])
+def test_critics_that_see_more_go_on_in_another_process_to_the_same_bytes(store, arena, tmp_path, sees, size):
+    """Also with past opponents for each, and one that rests: what a critic knows is in its player's checkpoint."""
+    config = settings(Schedule("leapfrog", period=1), opponents=Opponents("uniform", past=0.5, groups=2))
+    config = replace(config, learner=replace(config.learner, critic_input=sees))
+    turns(store, config, arena, 2)
+    trainer = turns(store, config, arena, 2)  # as after a kill
+    assert trainer.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (size,)
+    assert all(-1e3 < p.values["value_loss"] < 1e3 for p in store.curves(LEAGUE))
+    with new_store(tmp_path / "other", arena) as other:
+        turns(other, config, arena, 4)
+        assert ends(other) == ends(store)
+
+
 def test_in_leapfrog_one_learns_while_the_others_actors_stay_byte_for_byte(store, arena):
     turns(store, settings(Schedule("leapfrog", period=2)), arena, 5)
     learnt = {player: i for player, (i, _) in ends(store).items()}
