@@ -21,7 +21,8 @@ from jax import Array
 from agents.batch import Batch
 from agents.bridge import team_batch, to_jax
 from agents.errors import Diverged
-from agents.happo import Learner
+from agents.happo import Learner, compare
+from agents.parallel import ALONE, Together
 from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
 from arenas.arena import Arena
@@ -68,19 +69,26 @@ class PlayerDiverged(Exception):  # noqa: N818  (a sentence: "the player diverge
 def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
     """A `map` under which learners learn at the same time on a CPU's cores, which one alone does not fill.
 
-    A GPU is asked by one thread: it is busy with one update.
+    A GPU is asked by one thread: it is busy with one update. So are ranks, that all may hear the same in one order.
     """
-    on_cpu = all(learner.device.type == "cpu" for learner in learners)
-    return ThreadPoolExecutor(os.cpu_count(), "update").map if on_cpu else map
+    free = all(learner.device.type == "cpu" and learner.together.size == 1 for learner in learners)
+    return ThreadPoolExecutor(os.cpu_count(), "update").map if free else map
 
 
 class Trainer:
-    """One process's learners, compiled rollout and worlds. The store's checkpoints are the truth about the learners."""
+    """One process's learners, compiled rollout and worlds. The store's checkpoints are the truth about the learners.
 
-    def __init__(self, config: Config, arena: Arena, players: Sequence[Player], worlds: int):
-        self.config, self.arena, self.asked = config, arena, worlds
+    Of several ranks (`league/ranks.py`) each has one, with its part of the `worlds`, and all do the same turns: what
+    they decide by is equal everywhere, or what rank 0 says. Rank 0 alone commits.
+    """
+
+    def __init__(
+        self, config: Config, arena: Arena, players: Sequence[Player], worlds: int, together: Together = ALONE
+    ):  # fmt: skip
+        self.config, self.arena, self.together = config, arena, together
+        self.asked = worlds // together.size
         self.players = {player.name: player for player in players}
-        self.learners = {player.name: _new_learner(config, arena, player) for player in players}
+        self.learners = {player.name: _new_learner(config, arena, player, together) for player in players}
         self.counters = {player.name: Counters() for player in players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
@@ -107,6 +115,7 @@ class Trainer:
         phase = phase if phase is not None and phase.number == turn.phase else None
         if turn.iterations == 0:
             self._begin(store, turn)
+            compare(self.learners)
             return
         lineup = self._lineup(store, turn)
         worlds, collect = self._prepare(lineup, turn)
@@ -116,19 +125,20 @@ class Trainer:
             worlds, trajectory = collect(self._crews(lineup), worlds, self._key(turn, "rollout"))
             figures = self._learn(turn, trajectory, lineup)
 
-            steps += lineup.worlds * self.config.training.rollout
-            elapsed = time.monotonic() - began
+            steps += lineup.worlds * self.together.size * self.config.training.rollout
+            elapsed = self.together.first(time.monotonic() - began)
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
             yield Progress({name: self.counters[name] for name in turn.learners}, steps / elapsed, points)
             if self._enough(turn, before) or self._is_over(phase):
                 break
-            if left and stop():
+            if left and self.together.first(stop()):
                 self.interrupted = True
                 break
         self._worlds[turn.group] = worlds, lineup.seated
         if phase is not None and self.config.training.schedule.kind == "ladder" and self._is_over(phase):
             self._copy(store, turn, phase)
+        compare(self.learners)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
         """Write the turn's checkpoints, curves, and snapshots where they are due, and end the job: one transaction.
@@ -162,7 +172,8 @@ class Trainer:
         names = [*turn.learners, *resting]
         batches = [self._batch(name, trajectory, lineup) for name in names]
         figures = {
-            name: outcomes(trajectory, self.players[name].team, lineup.worlds_of(name)) for name in turn.learners
+            name: outcomes(trajectory, self.players[name].team, lineup.worlds_of(name), self.together.add)
+            for name in turn.learners
         }
         taught = self._each(self._update, names, batches, [name in resting for name in names])
         diverged: dict[str, object] = {}
@@ -260,6 +271,7 @@ class Trainer:
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
         self._points, self._parents, self._copied = [], {}, ()
+        self._at = self.together.first(self._at)
         league = next(iter(self.players.values())).league
         self.players = {player.name: player for player in store.players(league)}  # one may have been paused
         for name, digest in turn.bases.items():
@@ -302,7 +314,8 @@ class Trainer:
     def _key(self, turn: TrainingTurn, purpose: str) -> Array:
         """A key for one purpose and moment, the same in every process and after every restart."""
         moment = sum(self.counters[name].iteration for name in turn.present if name)
-        return random_key(self.config.seed, f"{turn.group}/{turn.dice}/{purpose}", moment)
+        key = random_key(self.config.seed, f"{turn.group}/{turn.dice}/{purpose}", moment)
+        return key if self.together.size == 1 else jax.random.fold_in(key, self.together.rank)
 
     def _enough(self, turn: TrainingTurn, before: Mapping[str, Counters]) -> bool:
         """Whether the turn should end here: the group's budget is spent, or a milestone of the clock was passed."""
@@ -354,7 +367,7 @@ def random_key(seed: int, purpose: str, number: int) -> Array:
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), crc32(purpose.encode())), number)
 
 
-def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
+def _new_learner(config: Config, arena: Arena, player: Player, together: Together) -> Learner:
     """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
     agents = arena.teams[player.team].agents
     settings = config.learner
@@ -366,7 +379,7 @@ def _new_learner(config: Config, arena: Arena, player: Player) -> Learner:
     seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     others = [a.observation_size for team in _others(config, arena, player.team) for a in team.agents]
-    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others)
+    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others, together)
 
 
 def _others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
