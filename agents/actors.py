@@ -8,7 +8,8 @@ from torch import Tensor
 from agents.batch import Batch, Share
 from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
+from agents.optimise import Tally, adam, minibatches, networks, orders, parts, slope, step
+from agents.parallel import ALONE, Together
 from agents.settings import HappoConfig
 
 LEAST_LR, MOST_LR, LR_FACTOR = 1e-5, 1e-2, 1.5  # of the adaptive step size, as in rsl_rl
@@ -18,8 +19,8 @@ FIGURES = ("policy_loss", "entropy", "ratio", "kl", "actor_grad_norm")
 class ActorLearner:
     """An actor that learns, and the agents of the team that act by it: one, or several equal ones."""
 
-    def __init__(self, network: Actor, agents: Sequence[int], config: HappoConfig):
-        self.network, self.agents, self.config = network, tuple(agents), config
+    def __init__(self, network: Actor, agents: Sequence[int], config: HappoConfig, together: Together = ALONE):
+        self.network, self.agents, self.config, self.together = network, tuple(agents), config, together
         device = network.std_scale.device
         self.lr = torch.tensor(config.lr, dtype=torch.float64, device=device)  # part of the state where it adapts
         self.rate = torch.tensor(config.lr, device=device)  # what Adam steps by: `lr`, or what has decayed of it
@@ -67,12 +68,16 @@ class ActorLearner:
         c, before = self.config, self.tally.sums.clone()
         for rows in minibatches(share, order, c.minibatches):
             minibatch = Share(*rows)
-            part, taught = parts(minibatch.valid)
+            part, taught = parts(minibatch.valid, self.together)
             loss, found = surrogate_loss(self.network, minibatch, part, c)
+            mine = (*slope(self.network, loss), loss, found["entropy"], found["rise"], found["kl"])
+            *gradient, loss, entropy, rise, kl = self.together.sum(*mine)
             if c.kl_step is not None:
-                self._adapt(found["kl"], c.kl_step)
-            norm = step(self.optimizer, self.network, loss, c.max_grad_norm, taught)
-            self.tally.note(taught, policy_loss=loss, **found, actor_grad_norm=norm)
+                self._adapt(kl, c.kl_step)
+            norm = step(self.optimizer, self.network, gradient, c.max_grad_norm, taught)
+            self.tally.note(
+                taught, policy_loss=loss, entropy=entropy, ratio=1 + rise, kl=kl, actor_grad_norm=norm
+            )  # fmt: skip
         return self.tally.mean("kl", before)
 
     def _adapt(self, kl: Tensor, target: float) -> None:
@@ -86,7 +91,8 @@ class ActorLearner:
 def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -> tuple[Tensor, dict[str, Tensor]]:
     """Clipped surrogate and entropy bonus as a loss, and figures of the policy that it was computed for.
 
-    `part` (B,) is what each row is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says there.
+    Each is a sum over the rows, of which `part` (B,) is what each is worth in a mean. `rise` is the mean ratio less 1;
+    where a row is worth nothing its ratio is 1, whatever the policy says there.
     """
     with networks(c.precision, share.MA.device):
         policy = network(share.observations)
@@ -98,4 +104,4 @@ def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -
     loss = -(surrogate * part).sum() - c.entropy * entropy
     rise, log_ratio = rise.detach(), log_ratio.detach()
     kl = ((rise - log_ratio) * part).sum()  # never negative, and of low variance (Schulman, 2020)
-    return loss, {"entropy": entropy, "ratio": 1 + (rise * part).sum(), "kl": kl}
+    return loss, {"entropy": entropy, "rise": (rise * part).sum(), "kl": kl}

@@ -9,7 +9,8 @@ from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) 
 from agents.batch import Batch, Critique, sides
 from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
+from agents.optimise import Tally, adam, minibatches, networks, orders, parts, slope, step
+from agents.parallel import ALONE, Together
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
 
@@ -17,8 +18,8 @@ from agents.settings import HappoConfig
 class CriticLearner:
     """A critic that learns, with its value normaliser, and the agents of the team whose observations it sees."""
 
-    def __init__(self, network: Critic, agents: Sequence[int], config: HappoConfig):
-        self.network, self.agents, self.config = network, tuple(agents), config
+    def __init__(self, network: Critic, agents: Sequence[int], config: HappoConfig, together: Together = ALONE):
+        self.network, self.agents, self.config, self.together = network, tuple(agents), config, together
         device = network.value.bias.device
         self.value_norm = ValueNorm().to(device)
         self.rate = torch.tensor(config.critic_lr, device=device)  # what Adam steps by
@@ -53,20 +54,24 @@ class CriticLearner:
         """One pass over the rows in this order."""
         c, rows = self.config, (critique.seen, critique.predictions, critique.returns, critique.valid)
         for seen, old, R, valid in minibatches(rows, order, c.minibatches):
-            part, taught = parts(valid)
+            part, taught = parts(valid, self.together)
             if c.value_norm:
-                self.value_norm.update(R, part, taught)
+                self.value_norm.update(R, part, taught, self.together)
             loss = value_loss(self.network, seen, old, self._normalise(R), part, c)
-            norm = step(self.optimizer, self.network, loss, c.max_grad_norm, taught)
+            *gradient, loss = self.together.sum(*slope(self.network, loss), loss)
+            norm = step(self.optimizer, self.network, gradient, c.max_grad_norm, taught)
             self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
 
     @torch.no_grad()
     def explain(self, critique: Critique) -> None:
         """Note the share of the returns' variance that was known before."""
-        part, taught = parts(critique.valid)
+        part, taught = parts(critique.valid, self.together)
+
+        def mean(x: Tensor) -> Tensor:
+            return self.together.sum((x * part).sum())[0]
 
         def variance(x: Tensor) -> Tensor:
-            return ((x - (x * part).sum()) ** 2 * part).sum()
+            return mean((x - mean(x)) ** 2)
 
         spread = variance(critique.returns).clamp(min=1e-8)
         self.fit.note(taught, explained_variance=1 - variance(critique.returns - critique.values) / spread)

@@ -7,6 +7,7 @@ IPPO each agent has a critic of its own. Equal robots may share an actor, which 
 """
 
 import math
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 
@@ -22,6 +23,7 @@ from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
 from agents.networks import Actor, Critic
 from agents.optimise import Tally, means, moments, parts, products
+from agents.parallel import ALONE, Together
 from agents.settings import OBSERVATION_CLIP, HappoConfig
 from agents.trust_region import TrustRegionLearner
 
@@ -45,6 +47,7 @@ class Learner:
     `kinds` are the agents' robots; agents of one kind and equal sizes are equal. Without them all are of one kind.
     `others` are the observation sizes of the other teams' agents, in the order in which batches hold them; `sight` is
     how many numbers the critic sees where these are no observations in their order (critic_input privileged, same).
+    `together` are the ranks that hold this learner; each updates it from batches of its own, all of one shape.
     """
 
     def __init__(
@@ -57,29 +60,33 @@ class Learner:
         kinds: Sequence[str] = (),
         others: Sequence[int] = (),
         sight: int = 0,
+        together: Together = ALONE,
     ):
         self.config = c = config
+        self.together = together
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
         self.rng = torch.Generator().manual_seed(seed)  # part of the state; `dice` have a fresh seed of it each update
         self.dice = torch.Generator(self.device)
-        self.graphs = Graphs(self.device, c.graphs)
+        self.graphs = Graphs(self.device, c.graphs and together.size == 1)  # no graph holds what ranks tell each other
         n, arch = len(observation_sizes), c.architecture
         equal = list(zip(kinds or [""] * n, observation_sizes, action_sizes, strict=True))
         self.leaders = [equal.index(e) if c.share_actors else i for i, e in enumerate(equal)]
-        together = {leader: [i for i in range(n) if self.leaders[i] == leader] for leader in sorted({*self.leaders})}
+        led = {leader: [i for i in range(n) if self.leaders[i] == leader] for leader in sorted({*self.leaders})}
         circles = [[i] for i in range(n)] if c.method == "ippo" else [list(range(n))]
         sizes = [sum(observation_sizes[i] for i in circle) for circle in circles]
         with torch.random.fork_rng(devices=[]):  # nn.init draws from the global generator; leave that as it was
             torch.manual_seed(seed)
-            actors = [Actor(*equal[leader][1:], arch, c.initial_std).to(self.device) for leader in together]
+            actors = [Actor(*equal[leader][1:], arch, c.initial_std).to(self.device) for leader in led]
             extra = others if c.critic_input == "all" else ()
             sights = [[size, *extra] if c.critic_input in ("own", "all") else [sight] for size in sizes]
             critics = [Critic(seen, arch).to(self.device) for seen in sights]
         kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
-        self.actor_learners = [kind(a, agents, c) for a, agents in zip(actors, together.values(), strict=True)]
-        self.critic_learners = [CriticLearner(v, circle, c) for v, circle in zip(critics, circles, strict=True)]
+        self.actor_learners = [kind(a, agents, c, together) for a, agents in zip(actors, led.values(), strict=True)]
+        self.critic_learners = [
+            CriticLearner(v, circle, c, together) for v, circle in zip(critics, circles, strict=True)
+        ]
         # Of each actor, then of each critic:
         self.observation_counts = torch.zeros(len(actors) + len(critics), device=self.device)
         self.steps = torch.zeros((), dtype=torch.int64)  # decisions × worlds learnt from, where step sizes decay
@@ -148,13 +155,13 @@ class Learner:
         """
         agents = range(len(batch.actions))
         held = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
-        batch, sound = run(_cleaned, batch)
-        known, *sound = sound.tolist()
-        checkpoint.refuse([name for name, ok in zip(held, sound, strict=True) if not ok])
+        batch, found = run(_cleaned, batch)
+        known, *bad = self.together.any(found).tolist()
+        checkpoint.refuse([name for name, here in zip(held, bad, strict=True) if here])
         if not known:
             self._check_state()  # a policy that is not finite makes every world void
             return batch, False
-        self.dice.manual_seed(draw_seed(self.rng))
+        self.dice.manual_seed((draw_seed(self.rng) + self.together.rank) % 2**63)  # each permutes its own rows
         for tally in self._tallies():
             tally.sums.zero_()
         return batch, True
@@ -167,9 +174,11 @@ class Learner:
         """
 
         def standardised(A: Tensor, acted: Tensor) -> Tensor:
-            part, _ = parts(acted.flatten())
-            gap = A - (A * part).sum()
-            return gap / (torch.sqrt((gap**2 * part).sum()) + 1e-5)
+            part, _ = parts(acted.flatten(), self.together)
+            (mean,) = self.together.sum((A * part).sum())
+            gap = A - mean
+            (variance,) = self.together.sum((gap**2 * part).sum())
+            return gap / (torch.sqrt(variance) + 1e-5)
 
         if self.config.method == "ippo":
             return [standardised(critique.advantages, a) for critique, a in zip(critiques, alive, strict=True)]
@@ -188,7 +197,7 @@ class Learner:
         """Count the steps where step sizes decay, and tell the step size where it changes."""
         c = self.config
         if c.decay_steps:
-            self.steps += batch.rewards.numel()
+            self.steps += batch.rewards.numel() * self.together.size
         told = [actor.lr for actor in self.actor_learners if actor.optimizer and (c.decay_steps or c.kl_step)]
         return {"lr": torch.stack(told).mean().item() * decay} if told else {}
 
@@ -198,13 +207,14 @@ class Learner:
         seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
         trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
         for trunk, (obs, valid), count in zip(trunks, seen, self.observation_counts, strict=True):
-            part, _ = parts(valid)
-            n, part = valid.sum(), part[:, None]
+            part, _ = parts(valid, self.together)
+            (n,), part = self.together.sum(valid.sum()), part[:, None]
             weight = n / (count + n).clamp(min=1)
-            mean = (obs * part).sum(0)
+            (mean,) = self.together.sum((obs * part).sum(0))
             gap = mean - trunk.observation_mean
+            (spread,) = self.together.sum(((obs - mean) ** 2 * part).sum(0))
             var = trunk.observation_var
-            var += weight * (((obs - mean) ** 2 * part).sum(0) - var) + weight * (1 - weight) * gap**2
+            var += weight * (spread - var) + weight * (1 - weight) * gap**2
             trunk.observation_mean += weight * gap
             trunk.observation_clip.masked_fill_(n > 0, OBSERVATION_CLIP)  # now there is something to normalise by
             count += n
@@ -285,13 +295,23 @@ class Learner:
 
 @torch.no_grad()
 def _cleaned(batch: Batch) -> tuple[Batch, Tensor]:
-    """The clean batch, and (2 + 2·agents,) bool: whether anything is known, and what it holds finite.
+    """The clean batch, and (2 + 2·agents,) bool: whether anything is known, and what it holds that is not finite.
 
     That is rewards, and each agent's actions and log densities.
     """
     batch = clean(batch)
     held = [batch.rewards, *(x for each in zip(batch.actions, batch.log_probs, strict=True) for x in each)]
-    return batch, torch.stack([~batch.void.all(), *(x.isfinite().all() for x in held)])
+    return batch, torch.stack([~batch.void.all(), *(~x.isfinite().all() for x in held)])
+
+
+def compare(learners: Mapping[str, Learner]) -> None:
+    """Raise RuntimeError unless all ranks hold the same learners to the last byte; else they would average nonsense."""
+    for name, learner in learners.items():
+        if learner.together.size > 1:
+            state = learner.state()
+            marks = learner.together.gather(zlib.crc32(b"".join(state[part].tobytes() for part in sorted(state))))
+            if len(set(marks)) > 1:
+                raise RuntimeError(f"the ranks no longer hold the same {name}; nothing of this turn is written")
 
 
 def draw_seed(rng: torch.Generator) -> int:

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 import torch
 from torch import Tensor, nn
 
+from agents.parallel import ALONE, Together
 from agents.settings import Precision
 
 BETAS, EPSILON = (0.9, 0.999), 1e-5
@@ -48,11 +49,18 @@ def moments(name: str, module: nn.Module, optimizer: torch.optim.Adam | None) ->
     return found
 
 
-def step(optimizer: Adam, module: nn.Module, loss: Tensor, max_grad_norm: float, taught: Tensor) -> Tensor:
+def slope(module: nn.Module, loss: Tensor) -> Sequence[Tensor]:
+    """The gradient of a loss, parameter by parameter."""
+    return torch.autograd.grad(loss, list(module.parameters()))
+
+
+def step(
+    optimizer: Adam, module: nn.Module, gradient: Sequence[Tensor], max_grad_norm: float, taught: Tensor
+) -> Tensor:
     """One step of Adam, if `taught` () is 1 and not 0; returns the norm of the gradient before it was scaled down."""
     parameters = list(module.parameters())
-    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
-        parameter.grad = gradient
+    for parameter, own in zip(parameters, gradient, strict=True):
+        parameter.grad = own
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimizer.found_inf = 1 - taught
     optimizer.step()
@@ -70,12 +78,12 @@ def minibatches(rows: Sequence[Tensor], order: Tensor, count: int) -> Iterator[t
     yield from zip(*(x.index_select(0, order).chunk(count) for x in rows), strict=True)
 
 
-def parts(valid: Tensor) -> tuple[Tensor, Tensor]:
+def parts(valid: Tensor, together: Together = ALONE) -> tuple[Tensor, Tensor]:
     """What each row (B,) is worth in a mean over the valid ones, which is Σ x · part; () 1, or 0 if there are none.
 
-    Then all parts are 0, and so is the mean.
+    Then all parts are 0, and so is the mean. The mean is that of all ranks' rows: each rank has a part of the sum.
     """
-    count = valid.sum()
+    (count,) = together.sum(valid.sum())
     return valid / count.clamp(min=1), (count > 0).float()
 
 

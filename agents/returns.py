@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor, nn
 
+from agents.parallel import ALONE, Together
+
 
 def advantages(
     rewards: Tensor,
@@ -51,11 +53,12 @@ class ValueNorm(nn.Module):
         self.register_buffer("weight", torch.zeros(()))
 
     @torch.no_grad()
-    def update(self, returns: Tensor, part: Tensor, seen: Tensor) -> None:
+    def update(self, returns: Tensor, part: Tensor, seen: Tensor, together: Together = ALONE) -> None:
         """Take returns (B,) into account, each with its part (B,) in their mean, if any were `seen`: () 1 or 0."""
         weight = (1 - self.beta) * seen
-        self.mean_sum.lerp_((returns * part).sum(), weight)  # β · sum + (1 − β) · mean
-        self.square_sum.lerp_((returns**2 * part).sum(), weight)
+        mean, square = together.sum((returns * part).sum(), (returns**2 * part).sum())
+        self.mean_sum.lerp_(mean, weight)  # β · sum + (1 − β) · mean
+        self.square_sum.lerp_(square, weight)
         self.weight.lerp_(torch.ones_like(weight), weight)
 
     def statistics(self) -> tuple[Tensor, Tensor]:

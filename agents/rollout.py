@@ -168,12 +168,18 @@ def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrappe
     return _compiled(play)
 
 
-def outcomes(trajectory: Trajectory, index: int, worlds: slice | np.ndarray) -> dict[str, float]:
+def outcomes(
+    trajectory: Trajectory,
+    index: int,
+    worlds: slice | np.ndarray,
+    everywhere: Callable[[list[float]], list[float]] = lambda sums: sums,
+) -> dict[str, float]:
     """How a team fared in its `worlds`: figures for its learning curve, all finite.
 
     `reward` and `shaping` are means per decision that was not void. `episodes` counts those that ended by the rules;
     their mean `score` and `length` in decisions are there only if one did. `voids` counts the void ones, `own_voids`
-    those that the team's own robots made so.
+    those that the team's own robots made so. Where other processes have a part of the worlds too, `everywhere` adds
+    theirs to each of some sums.
     """
     whole = (trajectory.terminated | trajectory.truncated)[:, worlds] & ~trajectory.cut[:, worlds]
     void = trajectory.void[:, worlds]
@@ -187,8 +193,8 @@ def outcomes(trajectory: Trajectory, index: int, worlds: slice | np.ndarray) -> 
         whole.sum(), void.sum(), own.sum(), total(score, whole), total(trajectory.age[:, worlds], whole),
         total(reward, ~void), total(shaping, ~void),
     ])  # fmt: skip
-    episodes, voids, own_voids, *sums = np.asarray(found).tolist()
-    decisions = max(void.size - voids, 1)
+    size, episodes, voids, own_voids, *sums = everywhere([void.size, *np.asarray(found).tolist()])
+    decisions = max(size - voids, 1)
     figures = {
         "episodes": episodes, "voids": voids, "own_voids": own_voids,
         "reward": sums[2] / decisions, "shaping": sums[3] / decisions,

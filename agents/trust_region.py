@@ -12,14 +12,15 @@ from agents.batch import Share
 from agents.graphs import Run
 from agents.networks import Actor
 from agents.optimise import Tally, parts
+from agents.parallel import ALONE, Together
 from agents.settings import HappoConfig
 
 
 class TrustRegionLearner(ActorLearner):
     """An actor that takes one step per batch: no Adam, no passes, no minibatches, no entropy bonus."""
 
-    def __init__(self, network: Actor, agents: Sequence[int], config: HappoConfig):
-        super().__init__(network, agents, config)
+    def __init__(self, network: Actor, agents: Sequence[int], config: HappoConfig, together: Together = ALONE):
+        super().__init__(network, agents, config, together)
         self.optimizer = None
         self.tally = Tally((*FIGURES, "step_length"), network.std_scale.device)
 
@@ -30,13 +31,16 @@ class TrustRegionLearner(ActorLearner):
         the policy stays as it is. How often it tries hangs on numbers that it reads, so no graph replays it: `decay`,
         `dice` and `run` are for other learners.
         """
-        part, taught = parts(share.valid)
+        part, taught = parts(share.valid, self.together)
         if not taught:
             return
         c, parameters = self.config.trust_region, list(self.network.parameters())
         before = _detached(self.network.gaussian(share.observations))
 
-        def gain() -> Tensor:
+        def total(mine: Tensor) -> Tensor:
+            return self.together.sum(mine)[0]
+
+        def gain() -> Tensor:  # of this rank's rows, as the divergence
             return (self._ratio(share) * share.MA * part).sum()
 
         def divergence() -> Tensor:
@@ -44,10 +48,11 @@ class TrustRegionLearner(ActorLearner):
 
         def hessian(vector: Tensor) -> Tensor:
             slope = _flat(torch.autograd.grad(divergence(), parameters, create_graph=True))
-            return _flat(torch.autograd.grad(slope @ vector, parameters)) + c.damping * vector
+            return total(_flat(torch.autograd.grad(slope @ vector, parameters))) + c.damping * vector
 
         start, at_start = _flat(parameters).detach().clone(), gain()
-        gradient = _flat(torch.autograd.grad(at_start, parameters)).detach()
+        gradient = total(_flat(torch.autograd.grad(at_start, parameters)).detach())
+        at_start = total(at_start)
         direction = conjugate_gradient(hessian, gradient, c.conjugate_steps)
         curvature = (direction @ hessian(direction)).clamp(min=1e-12)  # 0 where there is nothing to gain
         longest = torch.sqrt(2 * c.kl / curvature) * direction
@@ -56,14 +61,14 @@ class TrustRegionLearner(ActorLearner):
             for attempt in range(c.tries):
                 length = c.backtrack**attempt
                 _place(parameters, start + length * longest)
-                gained, moved = gain() - at_start, divergence()
+                gained, moved = total(gain()) - at_start, total(divergence())
                 if moved <= c.kl and gained > 0 and gained >= c.accept * length * (gradient @ longest):
                     break
             else:
                 length, moved = 0.0, torch.zeros_like(moved)
                 _place(parameters, start)
-            ratio = (self._ratio(share) * part).sum()
-            entropy = (self.network(share.observations).entropy().sum(-1) * part).sum()
+            ratio = total((self._ratio(share) * part).sum())
+            entropy = total((self.network(share.observations).entropy().sum(-1) * part).sum())
         self.tally.note(
             taught, policy_loss=-at_start, entropy=entropy, ratio=ratio, kl=moved, actor_grad_norm=gradient.norm(),
             step_length=torch.as_tensor(length, device=moved.device),

@@ -157,7 +157,8 @@ class Manager:
             if slot.process is not None:
                 self._bury(slot)
             text = configuration.dumps(self.config)
-            post = Post(self.where, self.config.storage.blobs, text, slot.kinds, slot.number, os.getpid())
+            spread = self.config.training.devices if TrainingTurn.kind in slot.kinds else 1
+            post = Post(self.where, self.config.storage.blobs, text, slot.kinds, slot.number, os.getpid(), spread)
             slot.process = context.Process(target=work, args=(post,))
             slot.process.start()
             slot.started = time.monotonic()

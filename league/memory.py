@@ -69,7 +69,7 @@ def learning(config: Config, arena: "Arena", worlds: int, at_once: int = 1) -> i
 def is_short(error: BaseException) -> bool:
     """Whether an error says that there was no memory left, on whatever device."""
     told = str(error).lower()
-    return not isinstance(error, StorageError) and (
+    return not isinstance(error, StorageError | TooLarge) and (
         isinstance(error, MemoryError) or any(sign in told for sign in SIGNS)
     )
 

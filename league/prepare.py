@@ -129,10 +129,11 @@ def examine(config: Config) -> "Arena":
 
 
 def worlds(config: Config) -> int:
-    """How many worlds training simulates at once; raises nothing."""
+    """How many worlds training simulates at once, on all its devices; raises nothing."""
     import jax
 
-    return config.training.worlds or (GPU_WORLDS if jax.default_backend() == "gpu" else CPU_WORLDS)
+    on_gpus = jax.default_backend() == "gpu"
+    return config.training.worlds or (GPU_WORLDS * config.training.devices if on_gpus else CPU_WORLDS)
 
 
 def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:
@@ -319,6 +320,11 @@ def _examine_scripts(config: Config, arena: "Arena") -> None:
 def _examine_device(config: Config, arena: "Arena") -> None:
     if config.training.device == "cuda" and not devices.torch_has_cuda():
         raise refuse(("training", "device"), "cuda", "torch sees no CUDA device here; use auto or cpu")
+    if 0 < (gpus := len(devices.gpus())) < config.training.devices:
+        told = (
+            f"the GPUs that may be used here are {gpus}, and no two processes of a turn share one; use {gpus} or less"
+        )
+        raise refuse(("training", "devices"), config.training.devices, told)
     if config.deterministic and arena.engine.name == "warp":
         raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
 

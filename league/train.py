@@ -21,7 +21,8 @@ from jax import Array
 from agents.batch import Batch
 from agents.bridge import common_size, team_batch, to_jax
 from agents.errors import Diverged
-from agents.happo import Learner
+from agents.happo import Learner, compare
+from agents.parallel import ALONE, Together
 from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
 from arenas.arena import Arena
@@ -68,19 +69,26 @@ class PlayerDiverged(Exception):  # noqa: N818  (a sentence: "the player diverge
 def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
     """A `map` under which learners learn at the same time on a CPU's cores, which one alone does not fill.
 
-    A GPU is asked by one thread: it is busy with one update.
+    A GPU is asked by one thread: it is busy with one update. So are ranks, that all may hear the same in one order.
     """
-    on_cpu = all(learner.device.type == "cpu" for learner in learners)
-    return ThreadPoolExecutor(os.cpu_count(), "update").map if on_cpu else map
+    free = all(learner.device.type == "cpu" and learner.together.size == 1 for learner in learners)
+    return ThreadPoolExecutor(os.cpu_count(), "update").map if free else map
 
 
 class Trainer:
-    """One process's learners, compiled rollout and worlds. The store's checkpoints are the truth about the learners."""
+    """One process's learners, compiled rollout and worlds. The store's checkpoints are the truth about the learners.
 
-    def __init__(self, config: Config, arena: Arena, players: Sequence[Player], worlds: int):
-        self.config, self.arena, self.asked = config, arena, worlds
+    Of several ranks (`league/ranks.py`) each has one, with its part of the `worlds`, and all do the same turns: what
+    they decide by is equal everywhere, or what rank 0 says. Rank 0 alone commits.
+    """
+
+    def __init__(
+        self, config: Config, arena: Arena, players: Sequence[Player], worlds: int, together: Together = ALONE
+    ):  # fmt: skip
+        self.config, self.arena, self.together = config, arena, together
+        self.asked = worlds // together.size
         self.players = {player.name: player for player in players}
-        self.learners = {player.name: new_learner(config, arena, player) for player in players}
+        self.learners = {player.name: new_learner(config, arena, player, together) for player in players}
         self.counters = {player.name: Counters() for player in players}
         self._fading = {name: fading.begun(config.training, len(arena.teams)) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
@@ -111,6 +119,7 @@ class Trainer:
         phase = phase if phase is not None and phase.number == turn.phase else None
         if turn.iterations == 0:
             self._begin(store, turn)
+            compare(self.learners)
             return
         lineup = self._lineup(store, turn)
         worlds, collect = self._prepare(lineup, turn)
@@ -120,19 +129,20 @@ class Trainer:
             worlds, trajectory = collect(self._crews(lineup), worlds, self._key(turn, "rollout"))
             figures = self._learn(turn, trajectory, lineup)
 
-            steps += lineup.worlds * self.config.training.rollout
-            elapsed = time.monotonic() - began
+            steps += lineup.worlds * self.together.size * self.config.training.rollout
+            elapsed = self.together.first(time.monotonic() - began)
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
             yield Progress({name: self.counters[name] for name in turn.learners}, steps / elapsed, points)
             if self._enough(turn, before) or self._is_over(phase):
                 break
-            if left and stop():
+            if left and self.together.first(stop()):
                 self.interrupted = True
                 break
         self._worlds[turn.group] = worlds, lineup.seated
         if phase is not None and self.config.training.schedule.kind == "ladder" and self._is_over(phase):
             self._copy(store, turn, phase)
+        compare(self.learners)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
         """Write the turn's checkpoints, curves, and snapshots where they are due, and end the job: one transaction.
@@ -160,7 +170,8 @@ class Trainer:
         """What to say where a turn ran out of memory: what it needed, by XLA's count and the numbers of a batch."""
         at_once = len(self.arena.teams) if self._device.type == "cpu" else 1
         needed = self._rollout.bytes + memory.learning(self.config, self.arena, self.asked, at_once)
-        return memory.TooLarge(memory.words(self.config, self.asked, needed, self._room))
+        worlds = self.asked * self.together.size
+        return memory.TooLarge(memory.words(self.config, worlds, needed, self._room))
 
     # An iteration ----------------------------------------------------------------------------------------------------
 
@@ -173,7 +184,8 @@ class Trainer:
         names = [*turn.learners, *resting]
         batches = [self._batch(name, trajectory, lineup) for name in names]
         figures = {
-            name: outcomes(trajectory, self.players[name].team, lineup.worlds_of(name)) for name in turn.learners
+            name: outcomes(trajectory, self.players[name].team, lineup.worlds_of(name), self.together.add)
+            for name in turn.learners
         }
         taught = self._each(self._update, names, batches, [name in resting for name in names])
         diverged: dict[str, object] = {}
@@ -277,6 +289,7 @@ class Trainer:
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
         self._points, self._parents, self._copied = [], {}, ()
+        self._at = self.together.first(self._at)
         league = next(iter(self.players.values())).league
         self.players = {player.name: player for player in store.players(league)}  # one may have been paused
         for name, digest in turn.bases.items():
@@ -322,7 +335,8 @@ class Trainer:
     def _key(self, turn: TrainingTurn, purpose: str) -> Array:
         """A key for one purpose and moment, the same in every process and after every restart."""
         moment = sum(self.counters[name].iteration for name in turn.present if name)
-        return random_key(self.config.seed, f"{turn.group}/{turn.dice}/{purpose}", moment)
+        key = random_key(self.config.seed, f"{turn.group}/{turn.dice}/{purpose}", moment)
+        return key if self.together.size == 1 else jax.random.fold_in(key, self.together.rank)
 
     def _enough(self, turn: TrainingTurn, before: Mapping[str, Counters]) -> bool:
         """Whether the turn should end here: the group's budget is spent, or a milestone of the clock was passed."""
@@ -374,7 +388,7 @@ def random_key(seed: int, purpose: str, number: int) -> Array:
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), crc32(purpose.encode())), number)
 
 
-def new_learner(config: Config, arena: Arena, player: Player) -> Learner:
+def new_learner(config: Config, arena: Arena, player: Player, together: Together = ALONE) -> Learner:
     """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
     agents = arena.teams[player.team].agents
     settings = config.learner
@@ -386,9 +400,9 @@ def new_learner(config: Config, arena: Arena, player: Player) -> Learner:
     seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     others = [a.observation_size for team in _others(config, arena, player.team) for a in team.agents]
-    sees = settings.critic_input
+    kinds, sees = [a.kind for a in agents], settings.critic_input
     sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
-    return Learner(*sizes, settings, seed, config.training.device, [a.kind for a in agents], others, sight)
+    return Learner(*sizes, settings, seed, config.training.device, kinds, others, sight, together)
 
 
 def _others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:

@@ -28,6 +28,7 @@ from storage.store import Store
 if TYPE_CHECKING:
     from arenas.arena import Arena
     from league.evaluate import Referee
+    from league.ranks import Ranks
     from league.train import Trainer
 
 BEAT = 1.0  # seconds between two words of life
@@ -47,6 +48,7 @@ class Post:
     kinds: tuple[str, ...]  # of jobs that it takes
     number: int  # among the workers of these kinds
     parent: int  # process id of its manager: it ends when that one is gone
+    devices: int = 1  # that its jobs use; where they are several, processes of its own take them
 
 
 def work(post: Post) -> None:
@@ -54,7 +56,8 @@ def work(post: Post) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the manager decides
     stopping = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopping.set())
-    devices.take(post.number)
+    if post.devices == 1:
+        devices.take(post.number)
     environment.prepare()
     config = configuration.loads(post.config)
     if post.kinds == (RatingMatch.kind,):  # it lives on what the learner leaves idle
@@ -108,6 +111,7 @@ class Worker:
             self.stopping.set()
             self._ended.set()
             beating.join(timeout=2 * BEAT)
+            self._drop_trainer()
             _quietly(self.store.leave, self.id)
 
     def _do(self, lease: Lease, job: Job) -> None:
@@ -149,7 +153,7 @@ class Worker:
     # Training --------------------------------------------------------------------------------------------------------
 
     def _train(self, lease: Lease, turn: TrainingTurn) -> None:
-        from league.train import PlayerDiverged
+        from league.train import PlayerDiverged, Trainer
 
         trainer = self._trainer(turn)
         try:
@@ -157,18 +161,18 @@ class Worker:
             if self._lost:
                 raise LeaseLost(f"the lease of group {turn.group}'s turn")
             if self.config.deterministic and trainer.interrupted:
-                self._heavy.pop("trainer")
+                self._drop_trainer()
                 self.store.release(lease)  # a part of a turn would change all that follows
             else:
                 self._patiently(lambda: trainer.commit(self.store, lease, turn))
         except PlayerDiverged as error:
-            self._heavy.pop("trainer", None)
+            self._drop_trainer()
             player, reason = error.player, str(error)
             self.status = {"doing": reason}
             self._patiently(lambda: self.store.setback(lease, player, reason))
         except BaseException as error:
-            self._heavy.pop("trainer", None)  # it may stand anywhere; the store knows better
-            if is_short(error):
+            self._drop_trainer()  # it may stand anywhere; the store knows better
+            if is_short(error) and isinstance(trainer, Trainer):  # ranks have said so themselves
                 raise trainer.too_large() from error
             raise
         if not self.stopping.is_set():
@@ -185,18 +189,30 @@ class Worker:
         if following.jobs:
             self.store.queue(following.jobs, following.phases)
 
-    def _trainer(self, turn: TrainingTurn) -> "Trainer":
+    def _trainer(self, turn: TrainingTurn) -> "Trainer | Ranks":
+        if "trainer" not in self._heavy:
+            self.status = {"doing": "compiling the training rollout", "learners": list(turn.learners)}
+            self._heavy["trainer"] = self._new_trainer()
+        return self._heavy["trainer"]
+
+    def _new_trainer(self) -> "Trainer | Ranks":
+        if self.config.training.devices > 1:
+            from league.ranks import Ranks
+
+            return Ranks(self.config, self.post.store, self.post.number)
         from league.prepare import worlds as training_worlds
         from league.train import Trainer
 
-        if "trainer" not in self._heavy:
-            self.status = {"doing": "compiling the training rollout", "learners": list(turn.learners)}
-            worlds = training_worlds(self.config)
-            players = self.store.players(self.config.league)
-            self._heavy["trainer"] = Trainer(self.config, self._arena(worlds), players, worlds)
-        return self._heavy["trainer"]
+        worlds = training_worlds(self.config)
+        return Trainer(self.config, self._arena(worlds), self.store.players(self.config.league), worlds)
 
-    def _learn(self, trainer: "Trainer", turn: TrainingTurn) -> None:
+    def _drop_trainer(self) -> None:
+        """The next turn has a new one; processes behind it end."""
+        trainer = self._heavy.pop("trainer", None)
+        if trainer is not None and self.config.training.devices > 1:
+            trainer.close()
+
+    def _learn(self, trainer: "Trainer | Ranks", turn: TrainingTurn) -> None:
         for at in trainer.turn(self.store, turn, self._halt):
             furthest = max(at.counters.values(), key=lambda c: c.iteration)
             self.status = {

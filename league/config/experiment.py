@@ -86,7 +86,25 @@ class Config:
                 raise ValueError(f"learner.minibatches: a batch has only {samples} samples, worlds × rollout")
             if training.opponents.past and training.opponents.groups > training.worlds:
                 raise ValueError(f"training.opponents.groups: there are only {training.worlds} worlds to share")
+        if training.devices > 1:
+            self._check_devices()
         self._check_players()
+
+    def _check_devices(self) -> None:
+        """Each device has as many worlds, and enough of them for what they are split into."""
+        training, devices = self.training, self.training.devices
+        if training.worlds is None:
+            return
+        each, rest = divmod(training.worlds, devices)
+        if rest:
+            raise ValueError(
+                f"training.worlds: must be a multiple of training.devices, {devices}: take {each * devices} or"
+                f" {(each + 1) * devices}"
+            )
+        if self.learner.minibatches > each * training.rollout:
+            raise ValueError(f"learner.minibatches: each device has only {each * training.rollout} samples of a batch")
+        if training.opponents.past and training.opponents.groups > each:
+            raise ValueError(f"training.opponents.groups: each device has only {each} worlds to share")
 
     def _check_deterministic(self) -> None:
         if self.training.opponents.kind == "prioritized":

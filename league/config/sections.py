@@ -60,7 +60,7 @@ class Training:
     """How players learn."""
 
     worlds: int | None = field(default=None, metadata={"low": 2, "high": MOST_WORLDS})
-    """Worlds simulated at once (none: 256 on a CPU; 2048 on a GPU, which waits for launches below that)."""
+    """Worlds simulated at once (none: 256 on a CPU; 2048 on each GPU, which waits for launches below that)."""
     rollout: int = field(default=32, metadata={"low": 1, "high": 100_000})
     """Decisions per world between two updates."""
     turn: int = field(default=16, metadata={"low": 1, "high": 100_000})
@@ -82,6 +82,9 @@ class Training:
     """First episodes begin at different times, so that long ones do not all end together."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where torch learns."""
+    devices: int = field(default=1, metadata={"low": 1, "high": 64})
+    """GPUs over which one turn is spread, each with a process of its own and an equal part of the worlds; on a CPU
+    processes."""
 
     def __post_init__(self) -> None:
         """Refuse two ways at once in which the dense reward fades."""

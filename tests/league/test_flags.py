@@ -147,6 +147,30 @@ def test_a_switch_is_turned_off_in_every_way(off):
             ("--learner.minibatches", "9999999", "--training.worlds", "4"),
             "--learner.minibatches = 9999999: a batch has",
         ),
+        (
+            ("--training.devices", "2", "--training.worlds", "9"),
+            "--training.worlds = 9: must be a multiple of training.devices, 2: take 8 or 10",
+        ),
+        (("--training.devices", "0"), "--training.devices = 0: must be between 1 and 64"),
+        (
+            ("--training.devices", "4", "--training.worlds", "8", "--learner.minibatches", "65"),
+            "--learner.minibatches = 65: each device has only 64 samples of a batch",
+        ),
+        (
+            (
+                "--training.devices",
+                "4",
+                "--training.worlds",
+                "8",
+                "--training.opponents.kind",
+                "uniform",
+                "--training.opponents.past",
+                "0.5",
+                "--training.opponents.groups",
+                "4",
+            ),
+            "--training.opponents.groups = 4: each device has only 2 worlds to share",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(args, says):

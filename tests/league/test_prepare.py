@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from league import devices
 from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
@@ -44,6 +45,25 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
     assert ".".join(caught.value.key) == key
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_more_devices_than_gpus_are_refused_and_on_a_cpu_they_are_processes(monkeypatch):
+    def spread(count: int) -> configuration.Config:
+        return configuration.loads(f'arena.name = "rock-paper-scissors"\n[training]\ndevices = {count}\n')
+
+    def gpus(names: str) -> None:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", names)
+        devices.gpus.cache_clear()
+
+    try:
+        gpus("2,5")
+        assert examine(spread(2)).name == "rock-paper-scissors"
+        with pytest.raises(ConfigError, match=r"^training\.devices = 3: the GPUs .* here are 2, .*; use 2 or less$"):
+            examine(spread(3))
+        gpus("")
+        assert examine(spread(3)).name == "rock-paper-scissors"
+    finally:
+        devices.gpus.cache_clear()
 
 
 def test_ladder_needs_equal_rosters_and_equal_networks():
