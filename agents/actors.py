@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from agents.batch import Batch, Share
+from agents.batch import Batch, Share, rows
 from agents.graphs import Run
 from agents.networks import Actor
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
@@ -29,24 +29,24 @@ class ActorLearner:
     @torch.no_grad()
     def share(self, batch: Batch, M: Tensor, A_hat: Sequence[Tensor]) -> Share:
         """What the agents did in a clean batch, one after the other, each with its own M·Â."""
-        rows = [
-            (
-                *(x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)),
-                (M * A_hat[i]).masked_fill(~batch.alive[i].flatten(), 0.0),
-                batch.alive[i].flatten(),
+        chunk, units, found = self.config.sequence, self.config.architecture.recurrent, []
+        for i in self.agents:
+            obs, actions, old, alive = (
+                rows(x[i], chunk) for x in (batch.observations, batch.actions, batch.log_probs, batch.alive)
             )
-            for i in self.agents
-        ]
-        return Share(*(torch.cat(x) for x in zip(*rows, strict=True)))
+            past = [] if chunk is None else [rows(batch.first[0], chunk), batch.memories[i][..., :units].flatten(0, 1)]
+            found.append((obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive, *past))
+        obs, actions, old, MA, alive, *past = (torch.cat(x) for x in zip(*found, strict=True))
+        return Share(obs, actions, old, MA, alive, past)
 
     @torch.no_grad()
     def log_probs(self, share: Share) -> Tensor:
         """Log densities (B,) of the actions under the present policy."""
-        return self.network(share.observations).log_prob(share.actions).sum(-1)
+        return self.network(share.observations, *share.past).log_prob(share.actions).sum(-1)
 
     @torch.no_grad()
     def ratios(self, share: Share, before: Tensor) -> Tensor:
-        """(T·N,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
+        """(B / agents,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
         ratio = torch.exp(self.log_probs(share) - before).masked_fill(~share.valid, 1.0)
         return torch.stack(ratio.chunk(len(self.agents))).prod(0)
 
@@ -65,8 +65,7 @@ class ActorLearner:
     def learn(self, share: Share, order: Tensor) -> Tensor:
         """One pass over the rows in this order; () the mean KL divergence of its minibatches."""
         c, before = self.config, self.tally.sums.clone()
-        for rows in minibatches(share, order, c.minibatches):
-            minibatch = Share(*rows)
+        for minibatch in minibatches(share, order, c.minibatches):
             part, taught = parts(minibatch.valid)
             loss, found = surrogate_loss(self.network, minibatch, part, c)
             if c.kl_step is not None:
@@ -86,10 +85,10 @@ class ActorLearner:
 def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -> tuple[Tensor, dict[str, Tensor]]:
     """Clipped surrogate and entropy bonus as a loss, and figures of the policy that it was computed for.
 
-    `part` (B,) is what each row is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says there.
+    `part` (B,) is what each decision is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says.
     """
     with networks(c.precision, share.MA.device):
-        policy = network(share.observations)
+        policy = network(share.observations, *share.past)
     log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).masked_fill(~share.valid, 0.0)
     rise = torch.expm1(log_ratio)  # r − 1
     # min(r·MÂ, clip(r, 1 ± ε)·MÂ) = MÂ + min((r − 1)·MÂ, ε·|MÂ|), of which half as many kernels make the gradient

@@ -25,20 +25,30 @@ class Batch(NamedTuple):
     next_others: Sequence[Tensor] = ()  # (T, N, obs)
     others_alive: Sequence[Tensor] = ()  # (T, N) bool
     next_others_alive: Sequence[Tensor] = ()  # (T, N) bool
+    # Where networks are recurrent:
+    first: Sequence[Tensor] = ()  # one, (T, N) bool: with this decision an episode began
+    memories: Sequence[Tensor] = ()  # (T / chunk, N, units or more) of each agent's actor, before each chunk
+    recalled: Sequence[Tensor] = ()  # (N, units) of each critic, before the first decision; none: of fresh worlds
+
+
+# Rows, of which minibatches are made: B = T·N decisions, or where networks are recurrent B = T / chunk · N chunks of so
+# many consecutive decisions, each figure of a decision (B, chunk). Their `past` is what a recurrent network asks for:
+# where an episode begins (B, chunk) bool, and what it remembered before the chunk (B, units); else it is empty.
 
 
 class Share(NamedTuple):
-    """What an actor learns from: B = T·N decisions of each of its agents, with zeros where `valid` says no."""
+    """What an actor learns from: B rows of each of its agents, with zeros where `valid` says no."""
 
     observations: Tensor  # (B, obs)
     actions: Tensor  # (B, act)
     log_probs: Tensor  # (B,) of the policy that acted
     MA: Tensor  # (B,) M·Â
     valid: Tensor  # (B,) bool: the agent took part, and what came of it is known
+    past: Sequence[Tensor] = ()
 
 
 class Critique(NamedTuple):
-    """What a critic makes of the B = T·N decisions of a batch."""
+    """What a critic makes of the B rows of a batch."""
 
     seen: Tensor  # (B, all that it sees)
     predictions: Tensor  # (B,) in normalised units, as all that the critic says
@@ -46,6 +56,8 @@ class Critique(NamedTuple):
     advantages: Tensor  # (B,)
     returns: Tensor  # (B,)
     valid: Tensor  # (B,) bool: not void
+    past: Sequence[Tensor] = ()
+    last: Sequence[Tensor] = ()  # one where it is recurrent, (N, units): what it remembers after the last decision
 
 
 def clean(batch: Batch) -> Batch:
@@ -80,7 +92,17 @@ def clean(batch: Batch) -> Batch:
         held(batch.next_others, others_next),
         others,
         others_next,
+        batch.first,
+        batch.memories,
+        batch.recalled,
     )
+
+
+def rows(values: Tensor, chunk: int | None) -> Tensor:
+    """What decisions hold, (T, N, ...), as rows: (T·N, ...), or in chunks (T / chunk · N, chunk, ...)."""
+    if chunk is None:
+        return values.flatten(0, 1)
+    return values.unflatten(0, (-1, chunk)).transpose(1, 2).flatten(0, 1)
 
 
 def views(batch: Batch, agents: Sequence[int], everybody: bool) -> tuple[Tensor, Tensor]:

@@ -33,10 +33,12 @@ def team_batch(
     shaping: float,
     blame: float = 1.0,
     others: Sequence[TeamSpec] = (),
+    recalled: Sequence[Tensor] = (),
 ) -> Batch:
     """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
 
-    `others` are the teams whose observations its critic sees too.
+    `others` are the teams whose observations its critic sees too; `recalled` is what recurrent critics remember of
+    these worlds (N, units) as the trajectory begins, nothing where that is not known.
 
     The reward is the outcome plus `shaping` times the dense hints. Where the team's own robots made a world void, that
     is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
@@ -63,7 +65,18 @@ def team_batch(
         of_agents(trajectory.next_observations, others),
         of_agents(trajectory.alive, others),
         of_agents(trajectory.next_alive, others),
+        *_past(trajectory, team, worlds),
+        recalled,
     )
+
+
+def _past(
+    trajectory: Trajectory, team: TeamSpec, worlds: slice | np.ndarray
+) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+    """A batch's `first` and `memories`: empty where the team's policies remember nothing."""
+    kept = trajectory.memories or {}
+    memories = [to_torch(kept[agent.name][:, worlds]) for agent in team.agents if agent.name in kept]
+    return [to_torch(trajectory.age[:, worlds] == 1)] if memories else (), memories
 
 
 def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
-from agents.batch import Batch, Critique, views
+from agents.batch import Batch, Critique, rows, views
 from agents.graphs import Run
 from agents.networks import Critic
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
@@ -15,10 +15,13 @@ from agents.settings import HappoConfig
 
 
 class CriticLearner:
-    """A critic that learns, with its value normaliser, and the agents of the team whose observations it sees."""
+    """A critic that learns, with its value normaliser, and the agents of the team whose observations it sees.
 
-    def __init__(self, network: Critic, agents: Sequence[int], config: HappoConfig):
-        self.network, self.agents, self.config = network, tuple(agents), config
+    `number` is its place among the critics of its team.
+    """
+
+    def __init__(self, network: Critic, agents: Sequence[int], config: HappoConfig, number: int = 0):
+        self.network, self.agents, self.config, self.number = network, tuple(agents), config, number
         device = network.value.bias.device
         self.value_norm = ValueNorm().to(device)
         self.rate = torch.tensor(config.critic_lr, device=device)  # what Adam steps by
@@ -31,12 +34,27 @@ class CriticLearner:
         """Values, advantages and returns of a clean batch by the critic as it is before the update."""
         c = self.config
         seen, seen_next = views(batch, self.agents, c.critic_input == "all")
-        predictions = self.network(seen)
-        values, next_values = self._denormalise(predictions), self._denormalise(self.network(seen_next))
+        if c.sequence is None:
+            predictions, following, past, last = self.network(seen), self.network(seen_next), [], []
+        else:
+            predictions, following, past, last = self._recall(seen, seen_next, batch)
+        values, next_values = self._denormalise(predictions), self._denormalise(following)
         ends = batch.terminated, batch.truncated, batch.void
         A = advantages(batch.rewards, values, next_values, *ends, c.gamma, c.lam)
         found = seen, predictions, values, A, A + values, ~batch.void
-        return Critique(*(x.flatten(0, 1) for x in found))
+        seen, old, values, A, R, valid = (rows(x, c.sequence) for x in found)
+        return Critique(seen, old, values, A, R, valid, past, last)
+
+    def _recall(
+        self, seen: Tensor, seen_next: Tensor, batch: Batch
+    ) -> tuple[Tensor, Tensor, list[Tensor], list[Tensor]]:
+        """Values (T, N) of what a recurrent critic sees and of what followed, its rows' past, and what it remembers."""
+        memory, chunk = batch.recalled[self.number], self.config.chunk
+        now, then, first = (x.transpose(0, 1) for x in (seen, seen_next, batch.first[0]))
+        predictions, following, states = self.network.along(now, then, first, memory)
+        before = torch.cat([memory[None], states.transpose(0, 1)[chunk - 1 : -1 : chunk]])
+        past = [rows(batch.first[0], chunk), before.flatten(0, 1)]
+        return predictions.transpose(0, 1), following.transpose(0, 1), past, [states[:, -1].clone()]
 
     def update(self, critique: Critique, decay: float, dice: torch.Generator, run: Run) -> None:
         """Learn from returns that the normaliser has just seen; `decay` is what is left of the step size."""
@@ -47,12 +65,13 @@ class CriticLearner:
 
     def learn(self, critique: Critique, order: Tensor) -> None:
         """One pass over the rows in this order."""
-        c, rows = self.config, (critique.seen, critique.predictions, critique.returns, critique.valid)
-        for seen, old, R, valid in minibatches(rows, order, c.minibatches):
+        c = self.config
+        held = critique.seen, critique.predictions, critique.returns, critique.valid, critique.past
+        for seen, old, R, valid, past in minibatches(held, order, c.minibatches):
             part, taught = parts(valid)
             if c.value_norm:
                 self.value_norm.update(R, part, taught)
-            loss = value_loss(self.network, seen, old, self._normalise(R), part, c)
+            loss = value_loss(self.network, seen, old, self._normalise(R), part, c, past)
             norm = step(self.optimizer, self.network, loss, c.max_grad_norm, taught)
             self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
 
@@ -74,13 +93,21 @@ class CriticLearner:
         return self.value_norm.denormalise(values) if self.config.value_norm else values
 
 
-def value_loss(network: Critic, seen: Tensor, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig) -> Tensor:
+def value_loss(
+    network: Critic,
+    seen: Tensor,
+    old: Tensor,
+    target: Tensor,
+    part: Tensor,
+    c: HappoConfig,
+    past: Sequence[Tensor] = (),
+) -> Tensor:
     """The larger of the Huber losses of the value and of the value held within `clip` of what it was.
 
-    `part` (B,) is what each row is worth in the mean.
+    `part` (B,) is what each decision is worth in the mean.
     """
     with networks(c.precision, seen.device):
-        value = network(seen)
+        value = network(seen, *past)
     clipped = old + (value - old).clamp(-c.clip, c.clip)
     losses = (huber_loss(v, target, reduction="none", delta=c.huber_delta) for v in (value, clipped))
     return (torch.max(*losses) * part).sum()
