@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
-from agents.batch import Batch, Share, rows
+from agents.batch import Batch, Sequences, Share, rows
 from agents.graphs import Run
 from agents.networks import Actor
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
@@ -34,15 +35,15 @@ class ActorLearner:
             obs, actions, old, alive = (
                 rows(x[i], chunk) for x in (batch.observations, batch.actions, batch.log_probs, batch.alive)
             )
-            past = [] if chunk is None else [rows(batch.first[0], chunk), batch.memories[i][..., :units].flatten(0, 1)]
-            found.append((obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive, *past))
-        obs, actions, old, MA, alive, *past = (torch.cat(x) for x in zip(*found, strict=True))
-        return Share(obs, actions, old, MA, alive, past)
+            if chunk is not None:
+                obs = Sequences(obs, rows(batch.first[0], chunk), batch.memories[i][..., :units].flatten(0, 1))
+            found.append(Share(obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive))
+        return pytree.tree_map(lambda *each: torch.cat(each), *found)
 
     @torch.no_grad()
     def log_probs(self, share: Share) -> Tensor:
         """Log densities (B,) of the actions under the present policy."""
-        return self.network(share.observations, *share.past).log_prob(share.actions).sum(-1)
+        return self.network(share.observations).log_prob(share.actions).sum(-1)
 
     @torch.no_grad()
     def ratios(self, share: Share, before: Tensor) -> Tensor:
@@ -88,7 +89,7 @@ def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -
     `part` (B,) is what each decision is worth in a mean. Where it is nothing the ratio is 1, whatever the policy says.
     """
     with networks(c.precision, share.MA.device):
-        policy = network(share.observations, *share.past)
+        policy = network(share.observations)
     log_ratio = (policy.log_prob(share.actions).sum(-1) - share.log_probs).masked_fill(~share.valid, 0.0)
     rise = torch.expm1(log_ratio)  # r − 1
     # min(r·MÂ, clip(r, 1 ± ε)·MÂ) = MÂ + min((r − 1)·MÂ, ε·|MÂ|), of which half as many kernels make the gradient

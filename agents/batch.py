@@ -31,32 +31,37 @@ class Batch(NamedTuple):
     recalled: Sequence[Tensor] = ()  # (N, units) of each critic, before the first decision; none: of fresh worlds
 
 
+class Sequences(NamedTuple):
+    """What a recurrent network sees: B sequences of L observations, and what of the past matters to them."""
+
+    observations: Tensor  # (B, L, obs)
+    first: Tensor  # (B, L) bool: with it an episode begins
+    memory: Tensor  # (B, units) that the network remembered before the sequence
+
+
 # Rows, of which minibatches are made: B = T·N decisions, or where networks are recurrent B = T / chunk · N chunks of so
-# many consecutive decisions, each figure of a decision (B, chunk). Their `past` is what a recurrent network asks for:
-# where an episode begins (B, chunk) bool, and what it remembered before the chunk (B, units); else it is empty.
+# many consecutive decisions, whose figures are (B, chunk).
 
 
 class Share(NamedTuple):
     """What an actor learns from: B rows of each of its agents, with zeros where `valid` says no."""
 
-    observations: Tensor  # (B, obs)
+    observations: Tensor | Sequences  # (B, obs)
     actions: Tensor  # (B, act)
     log_probs: Tensor  # (B,) of the policy that acted
     MA: Tensor  # (B,) M·Â
     valid: Tensor  # (B,) bool: the agent took part, and what came of it is known
-    past: Sequence[Tensor] = ()
 
 
 class Critique(NamedTuple):
     """What a critic makes of the B rows of a batch."""
 
-    seen: Tensor  # (B, all that it sees)
+    seen: Tensor | Sequences  # (B, all that it sees)
     predictions: Tensor  # (B,) in normalised units, as all that the critic says
     values: Tensor  # (B,) the same in units of reward
     advantages: Tensor  # (B,)
     returns: Tensor  # (B,)
     valid: Tensor  # (B,) bool: not void
-    past: Sequence[Tensor] = ()
     last: Sequence[Tensor] = ()  # one where it is recurrent, (N, units): what it remembers after the last decision
 
 

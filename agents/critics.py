@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
-from agents.batch import Batch, Critique, rows, views
+from agents.batch import Batch, Critique, Sequences, rows, views
 from agents.graphs import Run
 from agents.networks import Critic
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, step
@@ -35,26 +35,28 @@ class CriticLearner:
         c = self.config
         seen, seen_next = views(batch, self.agents, c.critic_input == "all")
         if c.sequence is None:
-            predictions, following, past, last = self.network(seen), self.network(seen_next), [], []
+            predictions, following, states = self.network(seen), self.network(seen_next), None
         else:
-            predictions, following, past, last = self._recall(seen, seen_next, batch)
+            predictions, following, states = self._along(batch, seen, seen_next)
         values, next_values = self._denormalise(predictions), self._denormalise(following)
         ends = batch.terminated, batch.truncated, batch.void
         A = advantages(batch.rewards, values, next_values, *ends, c.gamma, c.lam)
-        found = seen, predictions, values, A, A + values, ~batch.void
-        seen, old, values, A, R, valid = (rows(x, c.sequence) for x in found)
-        return Critique(seen, old, values, A, R, valid, past, last)
+        looked, old, known, R, valid = (
+            rows(x, c.sequence) for x in (seen, predictions, values, A + values, ~batch.void)
+        )
+        critique = Critique(looked, old, known, rows(A, c.sequence), R, valid)
+        if states is None:
+            return critique
+        before = torch.cat([batch.recalled[self.number][None], states[c.chunk - 1 : -1 : c.chunk]])
+        chunks = Sequences(looked, rows(batch.first[0], c.chunk), before.flatten(0, 1))
+        return critique._replace(seen=chunks, last=[states[-1].clone()])
 
-    def _recall(
-        self, seen: Tensor, seen_next: Tensor, batch: Batch
-    ) -> tuple[Tensor, Tensor, list[Tensor], list[Tensor]]:
-        """Values (T, N) of what a recurrent critic sees and of what followed, its rows' past, and what it remembers."""
-        memory, chunk = batch.recalled[self.number], self.config.chunk
+    def _along(self, batch: Batch, seen: Tensor, seen_next: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Predictions (T, N) of what a recurrent critic sees and of what followed; what it remembers (T, N, units)."""
         now, then, first = (x.transpose(0, 1) for x in (seen, seen_next, batch.first[0]))
-        predictions, following, states = self.network.along(now, then, first, memory)
-        before = torch.cat([memory[None], states.transpose(0, 1)[chunk - 1 : -1 : chunk]])
-        past = [rows(batch.first[0], chunk), before.flatten(0, 1)]
-        return predictions.transpose(0, 1), following.transpose(0, 1), past, [states[:, -1].clone()]
+        found = self.network.along(Sequences(now, first, batch.recalled[self.number]), then)
+        predictions, following, states = (x.transpose(0, 1) for x in found)
+        return predictions, following, states
 
     def update(self, critique: Critique, decay: float, dice: torch.Generator, run: Run) -> None:
         """Learn from returns that the normaliser has just seen; `decay` is what is left of the step size."""
@@ -66,12 +68,12 @@ class CriticLearner:
     def learn(self, critique: Critique, order: Tensor) -> None:
         """One pass over the rows in this order."""
         c = self.config
-        held = critique.seen, critique.predictions, critique.returns, critique.valid, critique.past
-        for seen, old, R, valid, past in minibatches(held, order, c.minibatches):
+        held = critique.seen, critique.predictions, critique.returns, critique.valid
+        for seen, old, R, valid in minibatches(held, order, c.minibatches):
             part, taught = parts(valid)
             if c.value_norm:
                 self.value_norm.update(R, part, taught)
-            loss = value_loss(self.network, seen, old, self._normalise(R), part, c, past)
+            loss = value_loss(self.network, seen, old, self._normalise(R), part, c)
             norm = step(self.optimizer, self.network, loss, c.max_grad_norm, taught)
             self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
 
@@ -94,20 +96,14 @@ class CriticLearner:
 
 
 def value_loss(
-    network: Critic,
-    seen: Tensor,
-    old: Tensor,
-    target: Tensor,
-    part: Tensor,
-    c: HappoConfig,
-    past: Sequence[Tensor] = (),
+    network: Critic, seen: Tensor | Sequences, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig
 ) -> Tensor:
     """The larger of the Huber losses of the value and of the value held within `clip` of what it was.
 
     `part` (B,) is what each decision is worth in the mean.
     """
-    with networks(c.precision, seen.device):
-        value = network(seen, *past)
+    with networks(c.precision, old.device):
+        value = network(seen)
     clipped = old + (value - old).clamp(-c.clip, c.clip)
     losses = (huber_loss(v, target, reduction="none", delta=c.huber_delta) for v in (value, clipped))
     return (torch.max(*losses) * part).sum()

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from agents import checkpoint
 from agents.actors import ActorLearner
-from agents.batch import Batch, Critique, Share, clean, rows
+from agents.batch import Batch, Critique, Sequences, Share, clean, rows
 from agents.checkpoint import State
 from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
@@ -205,6 +205,7 @@ class Learner:
     def _observe(self, shares: Sequence[Share], critiques: Sequence[Critique]) -> None:
         """Merge what actors and critics saw into the running statistics (Chan et al., 1979)."""
         seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
+        seen = [(x.observations if isinstance(x, Sequences) else x, valid) for x, valid in seen]
         seen = [(obs.flatten(0, -2), valid.flatten()) for obs, valid in seen]  # each decision
         trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
         for trunk, (obs, valid), count in zip(trunks, seen, self.observation_counts, strict=True):

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
+from agents.batch import Sequences
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
 
 _GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_gain; elu has none there
@@ -81,16 +82,13 @@ class GRU(nn.Module):
 
         Nothing that was before is remembered where an episode begins, `first` (B, L) bool.
         """
+        units, states = memory.shape[-1], []
         inputs = nn.functional.linear(x, self.weight_ih, self.bias_ih)
-        gates, news = inputs.split([2 * memory.shape[-1], memory.shape[-1]], -1)
-        states = []
-        for gate, new, begins in zip(gates.unbind(1), news.unbind(1), first.unbind(1), strict=True):
+        for new, begins in zip(inputs.unbind(1), first.unbind(1), strict=True):
             memory = memory.masked_fill(begins[:, None], 0.0)
-            own_gate, own_new = nn.functional.linear(memory, self.weight_hh, self.bias_hh).split(
-                [gate.shape[-1], new.shape[-1]], -1
-            )
-            r, z = torch.sigmoid(gate + own_gate).chunk(2, -1)
-            n = torch.tanh(new + r * own_new)
+            own = nn.functional.linear(memory, self.weight_hh, self.bias_hh)
+            r, z = torch.sigmoid(new[:, : 2 * units] + own[:, : 2 * units]).chunk(2, -1)
+            n = torch.tanh(new[:, 2 * units :] + r * own[:, 2 * units :])
             memory = n + z * (memory - n)
             states.append(memory)
         return torch.stack(states, 1)
@@ -101,11 +99,7 @@ class GRU(nn.Module):
 
 
 class Network(nn.Module):
-    """Trunk and, where the architecture is recurrent, the GRU after it.
-
-    A recurrent network sees B sequences of L observations (B, L, n), with the two tensors of its `past`: where an
-    episode begins (B, L) bool, and what it remembered before the first of them (B, units). Any other has no past.
-    """
+    """Trunk and, where the architecture is recurrent, the GRU after it. A recurrent network sees sequences."""
 
     def __init__(self, size: int, architecture: Architecture):
         super().__init__()
@@ -114,16 +108,23 @@ class Network(nn.Module):
         recurrent, layer_norm = architecture.recurrent, architecture.layer_norm
         self.gru = GRU(architecture.hidden[-1], recurrent, layer_norm) if recurrent else None
 
-    def states(self, observations: Tensor, *past: Tensor) -> Tensor:
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of what it says; autocast may make what it computes with smaller."""
+        return self.trunk.observation_mean.dtype
+
+    def states(self, seen: Sequences) -> Tensor:
         """What a recurrent network remembers (B, L, units) after each observation."""
         assert self.gru is not None
-        return self.gru(self.trunk(observations), *past)
+        return self.gru(self.trunk(seen.observations), seen.first, seen.memory)
 
-    def features(self, observations: Tensor, *past: Tensor) -> Tensor:
-        """The last layer's input (..., width)."""
+    def features(self, seen: Tensor | Sequences) -> Tensor:
+        """The last layer's input (..., width). Raises TypeError for a recurrent network that is shown no sequences."""
         if self.gru is None:
-            return self.trunk(observations)
-        return self.gru.told(self.states(observations, *past))
+            return self.trunk(seen)
+        if not isinstance(seen, Sequences):
+            raise TypeError("a recurrent network sees sequences, and was given single observations")
+        return self.gru.told(self.states(seen))
 
 
 class Gaussian(Normal):
@@ -176,17 +177,17 @@ class Actor(Network):
             nn.init.ones_(self.deviation.bias)
         self._squashed, self._state_std = architecture.squash is not None, architecture.state_std
 
-    def gaussian(self, observations: Tensor, *past: Tensor) -> Gaussian:
+    def gaussian(self, observations: Tensor | Sequences) -> Gaussian:
         """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
-        features = self.features(observations, *past)
-        mean = self.mean(features).to(observations.dtype)  # autocast may have made it smaller
-        logit = self.deviation(features).to(observations.dtype) if self._state_std else self.std_logit
+        features = self.features(observations)
+        mean = self.mean(features).to(self.dtype)
+        logit = self.deviation(features).to(self.dtype) if self._state_std else self.std_logit
         std = torch.sigmoid(logit) * self.std_scale
         return Gaussian(mean, std.expand_as(mean))
 
-    def forward(self, observations: Tensor, *past: Tensor) -> "Gaussian | Squashed":
+    def forward(self, observations: Tensor | Sequences) -> "Gaussian | Squashed":
         """The distribution of actions (..., action_size) given observations (..., observation_size)."""
-        gaussian = self.gaussian(observations, *past)
+        gaussian = self.gaussian(observations)
         return Squashed(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
 
 
@@ -225,18 +226,20 @@ class Critic(Network):
         nn.init.orthogonal_(self.value.weight, 1.0)
         nn.init.zeros_(self.value.bias)
 
-    def forward(self, team_observations: Tensor, *past: Tensor) -> Tensor:
+    def forward(self, team_observations: Tensor | Sequences) -> Tensor:
         """Values (...) of team observations (..., sum of sizes)."""
-        return self.value(self.features(team_observations, *past)).squeeze(-1).to(team_observations.dtype)
+        return self._value(self.features(team_observations))
 
-    def along(self, seen: Tensor, following: Tensor, first: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A recurrent critic's values (B, L) of what is `seen` and of what is `following` each of it, both (B, L, n).
+    def along(self, seen: Sequences, following: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """A recurrent critic's values (B, L) of what is seen and of what is `following` each of it (B, L, n).
 
         And what it remembers (B, L, units). What follows belongs to the same episode, also where that ends.
         """
         assert self.gru is not None
-        states = self.states(seen, first, memory)
+        states = self.states(seen)
         alone = following.flatten(0, 1)[:, None]
-        then = self.states(alone, first.new_zeros(alone.shape[:2]), states.flatten(0, 1)).view_as(states)
-        values, next_values = (self.value(self.gru.told(s)).squeeze(-1).to(seen.dtype) for s in (states, then))
-        return values, next_values, states
+        then = self.states(Sequences(alone, seen.first.new_zeros(alone.shape[:2]), states.flatten(0, 1)))
+        return self._value(self.gru.told(states)), self._value(self.gru.told(then.view_as(states))), states
+
+    def _value(self, features: Tensor) -> Tensor:
+        return self.value(features).squeeze(-1).to(self.dtype)

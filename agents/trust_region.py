@@ -34,14 +34,13 @@ class TrustRegionLearner(ActorLearner):
         if not taught:
             return
         c, parameters = self.config.trust_region, list(self.network.parameters())
-        seen = share.observations, *share.past
-        before = _detached(self.network.gaussian(*seen))
+        before = _detached(self.network.gaussian(share.observations))
 
         def gain() -> Tensor:
             return (self._ratio(share) * share.MA * part).sum()
 
         def divergence() -> Tensor:
-            return kl_divergence(before, self.network.gaussian(*seen)).sum(-1).mul(part).sum()
+            return kl_divergence(before, self.network.gaussian(share.observations)).sum(-1).mul(part).sum()
 
         def hessian(vector: Tensor) -> Tensor:
             slope = _flat(torch.autograd.grad(divergence(), parameters, create_graph=True))
@@ -64,7 +63,7 @@ class TrustRegionLearner(ActorLearner):
                 length, moved = 0.0, torch.zeros_like(moved)
                 _place(parameters, start)
             ratio = (self._ratio(share) * part).sum()
-            entropy = (self.network(*seen).entropy().sum(-1) * part).sum()
+            entropy = (self.network(share.observations).entropy().sum(-1) * part).sum()
         self.tally.note(
             taught, policy_loss=-at_start, entropy=entropy, ratio=ratio, kl=moved, actor_grad_norm=gradient.norm(),
             step_length=torch.as_tensor(length, device=moved.device),
@@ -72,7 +71,7 @@ class TrustRegionLearner(ActorLearner):
 
     def _ratio(self, share: Share) -> Tensor:
         """(B,) Of the densities now and of the policy that acted."""
-        log_ratio = self.network(share.observations, *share.past).log_prob(share.actions).sum(-1) - share.log_probs
+        log_ratio = self.network(share.observations).log_prob(share.actions).sum(-1) - share.log_probs
         return torch.exp(log_ratio.masked_fill(~share.valid, 0.0))
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import arenas
-from agents.batch import Batch
+from agents.batch import Batch, Sequences
 from agents.happo import Learner
 from agents.networks import Actor, Squashed
 from agents.rollout import make_rollout
@@ -82,15 +82,15 @@ def remembered_batch(learner: Learner, seed: int, T: int, N: int, void: float) -
             for t in range(T):
                 if t % chunk == 0:
                     memories[i].append(memory)
-                now = observations[i][t][:, None], first[t][:, None], memory
-                policy, gaussian = actor(*now), actor.gaussian(*now)
+                now = Sequences(observations[i][t][:, None], first[t][:, None], memory)
+                policy, gaussian = actor(now), actor.gaussian(now)
                 action = gaussian.mean + gaussian.stddev * normal(*gaussian.mean.shape)
                 if isinstance(policy, Squashed):
                     action = policy.limit * torch.tanh(action / policy.limit)
                 actions[i].append(action[:, 0])
                 stale = 0.3 * (2 * torch.rand(N, generator=rng) - 1)
                 log_probs[i].append(policy.log_prob(action).sum(-1)[:, 0] + stale)
-                memory = actor.states(*now)[:, 0]
+                memory = actor.states(now)[:, 0]
     actions, log_probs, memories = ([torch.stack(x) for x in each] for each in (actions, log_probs, memories))
     alive = [torch.ones((T, N), dtype=torch.bool) for _ in learner.actors]
     batch = Batch(observations, following, actions, log_probs, alive, alive, normal(T, N) + 2.0, *kinds)

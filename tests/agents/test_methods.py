@@ -295,7 +295,9 @@ VARIANTS = {
     "both": {"architecture": Architecture((5,), squash=1.0, state_std=True), "method": "hatrpo"},
     "recurrent": {"architecture": Architecture((5,), recurrent=4), "chunk": 4},
     "recurrent, shared": {
-        "architecture": Architecture((5,), recurrent=4, squash=1.0, layer_norm=True), "chunk": 2, "share_actors": True,
+        "architecture": Architecture((5,), recurrent=4, squash=1.0, layer_norm=True),
+        "chunk": 2,
+        "share_actors": True,
     },
     "recurrent ippo": {"architecture": Architecture((5,), recurrent=4, state_std=True), "chunk": 8, "method": "ippo"},
     "recurrent hatrpo": {"architecture": Architecture((5,), recurrent=4), "chunk": 4, "method": "hatrpo"},
