@@ -41,10 +41,9 @@ class CriticLearner:
         values, next_values = self._denormalise(predictions), self._denormalise(following)
         ends = batch.terminated, batch.truncated, batch.void
         A = advantages(batch.rewards, values, next_values, *ends, c.gamma, c.lam)
-        looked, old, known, R, valid = (
-            rows(x, c.sequence) for x in (seen, predictions, values, A + values, ~batch.void)
-        )
-        critique = Critique(looked, old, known, rows(A, c.sequence), R, valid)
+        found = seen, predictions, values, A, A + values, ~batch.void
+        looked, old, known, gained, R, valid = (rows(x, c.sequence) for x in found)
+        critique = Critique(looked, old, known, gained, R, valid)
         if states is None:
             return critique
         before = torch.cat([batch.recalled[self.number][None], states[c.chunk - 1 : -1 : c.chunk]])

@@ -83,8 +83,8 @@ class Config:
         if training.rollout % chunk:
             fit = max(n for n in range(1, chunk) if training.rollout % n == 0)
             raise ValueError(
-                f"learner.chunk: {chunk} decisions must divide training.rollout, {training.rollout}, where"
-                f" learner.architecture.recurrent is set; {fit} do, or another rollout"
+                f"learner.chunk: must divide training.rollout, {training.rollout}, where"
+                f" learner.architecture.recurrent is set; use {fit}, or another rollout"
             )
         if training.worlds is not None:
             samples, of = training.worlds * training.rollout // chunk, " / chunk" if chunk > 1 else ""
