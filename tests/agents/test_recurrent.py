@@ -196,9 +196,10 @@ def test_all_kinds_play_in_one_crew_each_as_it_would_alone(echo, member):
     assert units(members) == 8
     games = make_play(echo, tuple(range(len(keys))))({"pupil/0": members}, keys)
     assert games.actions["pupil/0"].shape == (5, len(keys), 1)
+    play = make_play(echo, tuple(range(each)))
     for k, name in enumerate(who):
         here = slice(k * each, (k + 1) * each)
-        alone = make_play(echo, tuple(range(each)))({"pupil/0": crew([member(name)])}, keys[here])
+        alone = play({"pupil/0": crew([member(name)])}, keys[here])
         np.testing.assert_allclose(
             games.actions["pupil/0"][:, here], alone.actions["pupil/0"], rtol=1e-5, atol=1e-5, err_msg=str(name)
         )

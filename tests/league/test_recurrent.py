@@ -82,7 +82,11 @@ def ends(store: Store) -> dict[str, tuple[int, str]]:
     return {name: (c.iteration, c.digest) for name, c in store.newest_checkpoints(LEAGUE).items()}
 
 
-@pytest.mark.parametrize("schedule", [Schedule(), Schedule("leapfrog", period=3)], ids=["simultaneous", "leapfrog"])
+@pytest.mark.parametrize(
+    "schedule",
+    [Schedule(), pytest.param(Schedule("leapfrog", period=3), marks=pytest.mark.slow)],
+    ids=["simultaneous", "leapfrog"],
+)
 def test_killed_after_every_turn_a_league_ends_with_the_same_bytes(schedule, store, arena, tmp_path):
     config = settings(schedule, Opponents("uniform", past=0.5, groups=2))
     turns(store, config, arena, 5)
