@@ -17,10 +17,9 @@ from zlib import crc32
 import jax
 import jax.numpy as jnp
 from jax import Array
-from torch import Tensor
 
 from agents.batch import Batch
-from agents.bridge import team_batch, to_jax
+from agents.bridge import Recalled, everywhere, team_batch, to_jax
 from agents.errors import Diverged
 from agents.happo import Learner
 from agents.policy import Crew
@@ -85,7 +84,7 @@ class Trainer:
         self.counters = {player.name: Counters() for player in players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
-        self._recalled: dict[str, list[Tensor]] = {}  # of players: what their critics remember of the group's worlds
+        self._recalled: dict[str, Recalled] = {}  # of players: what their critics remember of the group's worlds
         self._points: list[CurvePoint] = []
         self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
         self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
@@ -198,18 +197,15 @@ class Trainer:
         Like the worlds this is no part of a checkpoint: who goes on from one begins in fresh worlds.
         """
         for name in filter(None, lineup.turn.present):
-            self._recalled[name] = []
-            for own in self.learners[name].remembered if name in names else ():
-                everywhere = own.new_zeros(lineup.worlds, own.shape[1])
-                everywhere[lineup.worlds_of(name)] = own
-                self._recalled[name].append(everywhere)
+            remembered = self.learners[name].remembered if name in names else ()
+            self._recalled[name] = everywhere(remembered, lineup.worlds_of(name), lineup.worlds)
 
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
-        team, worlds = self.players[name].team, lineup.worlds_of(name)
+        team = self.players[name].team
         return team_batch(
-            trajectory, self.arena.teams[team], team, worlds, self._shaping(self.counters[name]),
+            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(self.counters[name]),
             others=_others(self.config, self.arena, team),
-            recalled=[memory[worlds] for memory in self._recalled.get(name, ())],
+            recalled=self._recalled.get(name, ()),
         )  # fmt: skip
 
     def _count(
