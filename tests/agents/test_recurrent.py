@@ -15,7 +15,7 @@ import arenas
 from agents.batch import Batch, Critique, Sequences, clean
 from agents.bridge import team_batch, to_jax
 from agents.happo import Learner
-from agents.networks import GRU, Actor
+from agents.networks import GRU
 from agents.policy import Crew, act, crew, learned, remember, units
 from agents.rollout import Trajectory, Worlds, make_play, make_reset, make_restart, make_rollout, remembering
 from agents.settings import Architecture, HappoConfig
@@ -393,12 +393,3 @@ def test_who_remembers_can_repeat_what_was_said_and_nobody_else(recurrent, learn
     else:
         assert 0.4 < score < 0.6  # 512 games err by 0.02
         assert figures["explained_variance"] < 0.2
-
-
-def test_actors_that_remember_cross_to_jax_with_every_name(scramble):
-    architecture = Architecture((9, 7), "elu", layer_norm=True, recurrent=4)
-    state = scramble(0, architecture).state_dict()
-    (policy,) = to_jax([state])
-    back = Actor(20, 2, architecture, initial_std=0.1)
-    back.load_state_dict({name: torch.tensor(np.asarray(array)) for name, array in policy.items()}, strict=True)
-    assert {f"gru.{name}" for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh", "norm.weight")} < state.keys()
