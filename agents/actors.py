@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
-from agents.batch import Batch, Share
+from agents.batch import Batch, Sequences, Share, rows
 from agents.graphs import Run
 from agents.networks import Actor
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, slope, step
@@ -30,15 +31,15 @@ class ActorLearner:
     @torch.no_grad()
     def share(self, batch: Batch, M: Tensor, A_hat: Sequence[Tensor]) -> Share:
         """What the agents did in a clean batch, one after the other, each with its own M·Â."""
-        rows = [
-            (
-                *(x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)),
-                (M * A_hat[i]).masked_fill(~batch.alive[i].flatten(), 0.0),
-                batch.alive[i].flatten(),
+        chunk, units, found = self.config.sequence, self.config.architecture.recurrent, []
+        for i in self.agents:
+            obs, actions, old, alive = (
+                rows(x[i], chunk) for x in (batch.observations, batch.actions, batch.log_probs, batch.alive)
             )
-            for i in self.agents
-        ]
-        return Share(*(torch.cat(x) for x in zip(*rows, strict=True)))
+            if chunk is not None:
+                obs = Sequences(obs, rows(batch.first[0], chunk), batch.memories[i][..., :units].flatten(0, 1))
+            found.append(Share(obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive))
+        return pytree.tree_map(lambda *each: torch.cat(each), *found)
 
     @torch.no_grad()
     def log_probs(self, share: Share) -> Tensor:
@@ -47,7 +48,7 @@ class ActorLearner:
 
     @torch.no_grad()
     def ratios(self, share: Share, before: Tensor) -> Tensor:
-        """(T·N,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
+        """(B / agents,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
         ratio = torch.exp(self.log_probs(share) - before).masked_fill(~share.valid, 1.0)
         return torch.stack(ratio.chunk(len(self.agents))).prod(0)
 
@@ -66,8 +67,7 @@ class ActorLearner:
     def learn(self, share: Share, order: Tensor) -> Tensor:
         """One pass over the rows in this order; () the mean KL divergence of its minibatches."""
         c, before = self.config, self.tally.sums.clone()
-        for rows in minibatches(share, order, c.minibatches):
-            minibatch = Share(*rows)
+        for minibatch in minibatches(share, order, c.minibatches):
             part, taught = parts(minibatch.valid, self.together)
             loss, found = surrogate_loss(self.network, minibatch, part, c)
             mine = (*slope(self.network, loss), loss, found["entropy"], found["rise"], found["kl"])
@@ -91,8 +91,8 @@ class ActorLearner:
 def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -> tuple[Tensor, dict[str, Tensor]]:
     """Clipped surrogate and entropy bonus as a loss, and figures of the policy that it was computed for.
 
-    Each is a sum over the rows, of which `part` (B,) is what each is worth in a mean. `rise` is the mean ratio less 1;
-    where a row is worth nothing its ratio is 1, whatever the policy says there.
+    Each is a sum over the decisions, of which `part` (B, ...) is what each is worth in a mean. `rise` is the mean ratio
+    less 1; where a decision is worth nothing its ratio is 1, whatever the policy says there.
     """
     with networks(c.precision, share.MA.device):
         policy = network(share.observations)

@@ -37,12 +37,28 @@ class Batch(NamedTuple):
     next_others_alive: Sequence[Tensor] = ()  # (T, N) bool
     # Where the critic sees something else than observations: the game as it went for the team, then for other teams.
     sides: Sequence[Side] = ()
+    # Where networks are recurrent:
+    first: Sequence[Tensor] = ()  # one, (T, N) bool: with this decision an episode began
+    memories: Sequence[Tensor] = ()  # (T / chunk, N, units or more) of each agent's actor, before each chunk
+    recalled: Sequence[Tensor] = ()  # (N, units) of each critic, before the first decision; none: of fresh worlds
+
+
+class Sequences(NamedTuple):
+    """What a recurrent network sees: B sequences of L observations, and what of the past matters to them."""
+
+    observations: Tensor  # (B, L, obs)
+    first: Tensor  # (B, L) bool: with it an episode begins
+    memory: Tensor  # (B, units) that the network remembered before the sequence
+
+
+# Rows, of which minibatches are made: B = T·N decisions, or where networks are recurrent B = T / chunk · N chunks of so
+# many consecutive decisions, whose figures are (B, chunk).
 
 
 class Share(NamedTuple):
-    """What an actor learns from: B = T·N decisions of each of its agents, with zeros where `valid` says no."""
+    """What an actor learns from: B rows of each of its agents, with zeros where `valid` says no."""
 
-    observations: Tensor  # (B, obs)
+    observations: Tensor | Sequences  # (B, obs)
     actions: Tensor  # (B, act)
     log_probs: Tensor  # (B,) of the policy that acted
     MA: Tensor  # (B,) M·Â
@@ -50,14 +66,15 @@ class Share(NamedTuple):
 
 
 class Critique(NamedTuple):
-    """What a critic makes of the B = T·N decisions of a batch, as often as it has sides; the team's own come first."""
+    """What a critic makes of the B rows of a batch, as often as it has sides; the team's own come first."""
 
-    seen: Tensor  # (B, all that it sees)
+    seen: Tensor | Sequences  # (B, all that it sees)
     predictions: Tensor  # (B,) in normalised units, as all that the critic says
     values: Tensor  # (B,) the same in units of reward
     advantages: Tensor  # (T·N,) of the team itself
     returns: Tensor  # (B,)
     valid: Tensor  # (B,) bool: not void
+    last: Sequence[Tensor] = ()  # one where it is recurrent, (N, units): what it remembers after the last decision
 
 
 def clean(batch: Batch) -> Batch:
@@ -93,6 +110,9 @@ def clean(batch: Batch) -> Batch:
         others,
         others_next,
         [_clean_side(side) for side in batch.sides],
+        batch.first,
+        batch.memories,
+        batch.recalled,
     )
 
 
@@ -101,6 +121,13 @@ def _clean_side(side: Side) -> Side:
         return x.masked_fill(side.void[..., None] if x.dim() > side.void.dim() else side.void, 0.0)
 
     return side._replace(seen=held(side.seen), next_seen=held(side.next_seen), rewards=held(side.rewards))
+
+
+def rows(values: Tensor, chunk: int | None) -> Tensor:
+    """What decisions hold, (T, N, ...), as rows: (T·N, ...), or in chunks (T / chunk · N, chunk, ...)."""
+    if chunk is None:
+        return values.flatten(0, 1)
+    return values.unflatten(0, (-1, chunk)).transpose(1, 2).flatten(0, 1)
 
 
 def sides(batch: Batch, agents: Sequence[int], everybody: bool) -> Sequence[Side]:

@@ -19,6 +19,8 @@ from agents.policy import Params
 from agents.rollout import Trajectory
 from arenas.state import TeamSpec
 
+Recalled = Sequence[Tensor]  # (N, units) of each recurrent critic of a team: what it remembers of N worlds
+
 
 def to_torch(array: Array) -> Tensor:
     """A torch view of a JAX array, on the same device."""
@@ -35,12 +37,14 @@ def team_batch(
     others: Sequence[TeamSpec] = (),
     privileged: bool = False,
     common: Sequence[TeamSpec] = (),
+    recalled: Recalled = (),
 ) -> Batch:
     """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
 
     What its critic sees beside, or instead of, the team's own observations: `others` are the teams whose observations
     it sees too; `privileged`: it sees the whole state, which the trajectory then holds; `common` are all teams, where
-    it judges for all of them (`common_order`).
+    it judges for all of them (`common_order`). `recalled` is what recurrent critics remember of all worlds as the
+    trajectory begins, nothing where that is not known.
 
     The reward is the outcome plus `shaping` times the dense hints. Where the team's own robots made a world void, that
     is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
@@ -75,7 +79,26 @@ def team_batch(
         of_agents(trajectory.alive, others),
         of_agents(trajectory.next_alive, others),
         sides,
+        *_past(trajectory, team, worlds),
+        [memory[worlds] for memory in recalled],
     )
+
+
+def _past(
+    trajectory: Trajectory, team: TeamSpec, worlds: slice | np.ndarray
+) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+    """A batch's `first` and `memories`: empty where the team's policies remember nothing."""
+    kept = trajectory.memories or {}
+    memories = [to_torch(kept[agent.name][:, worlds]) for agent in team.agents if agent.name in kept]
+    return [to_torch(trajectory.age[:, worlds] == 1)] if memories else (), memories
+
+
+def everywhere(remembered: Recalled, worlds: slice | np.ndarray, number: int) -> Recalled:
+    """What critics remember of some worlds as what they remember of all, of so many: nothing of the others."""
+    found = [memory.new_zeros(number, memory.shape[1]) for memory in remembered]
+    for whole, memory in zip(found, remembered, strict=True):
+        whole[worlds] = memory
+    return found
 
 
 def _earned(

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
-from agents.batch import Batch, Critique, sides
+from agents.batch import Batch, Critique, Sequences, Side, rows, sides
 from agents.graphs import Run
 from agents.networks import Critic
 from agents.optimise import Tally, adam, minibatches, networks, orders, parts, slope, step
@@ -16,10 +16,16 @@ from agents.settings import HappoConfig
 
 
 class CriticLearner:
-    """A critic that learns, with its value normaliser, and the agents of the team whose observations it sees."""
+    """A critic that learns, with its value normaliser, and the agents of the team whose observations it sees.
 
-    def __init__(self, network: Critic, agents: Sequence[int], config: HappoConfig, together: Together = ALONE):
+    `number` is its place among the critics of its team.
+    """
+
+    def __init__(
+        self, network: Critic, agents: Sequence[int], config: HappoConfig, number: int = 0, together: Together = ALONE
+    ):  # fmt: skip
         self.network, self.agents, self.config, self.together = network, tuple(agents), config, together
+        self.number = number
         device = network.value.bias.device
         self.value_norm = ValueNorm().to(device)
         self.rate = torch.tensor(config.critic_lr, device=device)  # what Adam steps by
@@ -31,17 +37,37 @@ class CriticLearner:
     def criticise(self, batch: Batch) -> Critique:
         """Values, advantages and returns of a clean batch by the critic as it is before the update."""
         c = self.config
-        each = []
-        for side in sides(batch, self.agents, c.critic_input == "all"):
-            predictions = self.network(side.seen)
-            values, next_values = self._denormalise(predictions), self._denormalise(self.network(side.next_seen))
-            ends = side.terminated, batch.truncated, side.void
-            A = advantages(side.rewards, values, next_values, *ends, c.gamma, c.lam)
-            found = side.seen, predictions, values, A, A + values, ~side.void
-            each.append(Critique(*(x.flatten(0, 1) for x in found)))
-        if len(each) == 1:
-            return each[0]
-        return Critique(*map(torch.cat, zip(*each, strict=True)))._replace(advantages=each[0].advantages)
+        own, *more = (self._of_side(batch, side) for side in sides(batch, self.agents, c.critic_input == "all"))
+        if not more:
+            return own
+        *held, _ = zip(own, *more, strict=True)  # such a critic remembers nothing
+        seen, old, values, _, R, valid = map(torch.cat, held)
+        return Critique(seen, old, values, own.advantages, R, valid)
+
+    def _of_side(self, batch: Batch, side: Side) -> Critique:
+        c = self.config
+        if c.sequence is None:
+            predictions, following, states = self.network(side.seen), self.network(side.next_seen), None
+        else:
+            predictions, following, states = self._along(batch, side)
+        values, next_values = self._denormalise(predictions), self._denormalise(following)
+        ends = side.terminated, batch.truncated, side.void
+        A = advantages(side.rewards, values, next_values, *ends, c.gamma, c.lam)
+        found = side.seen, predictions, values, A, A + values, ~side.void
+        seen, old, known, gained, R, valid = (rows(x, c.sequence) for x in found)
+        critique = Critique(seen, old, known, gained, R, valid)
+        if states is None:
+            return critique
+        before = torch.cat([batch.recalled[self.number][None], states[c.chunk - 1 : -1 : c.chunk]])
+        chunks = Sequences(seen, rows(batch.first[0], c.chunk), before.flatten(0, 1))
+        return critique._replace(seen=chunks, last=[states[-1].clone()])
+
+    def _along(self, batch: Batch, side: Side) -> tuple[Tensor, Tensor, Tensor]:
+        """Predictions (T, N) of what a recurrent critic sees and of what followed; what it remembers (T, N, units)."""
+        now, then, first = (x.transpose(0, 1) for x in (side.seen, side.next_seen, batch.first[0]))
+        found = self.network.along(Sequences(now, first, batch.recalled[self.number]), then)
+        predictions, following, states = (x.transpose(0, 1) for x in found)
+        return predictions, following, states
 
     def update(self, critique: Critique, decay: float, dice: torch.Generator, run: Run) -> None:
         """Learn from returns that the normaliser has just seen; `decay` is what is left of the step size."""
@@ -52,8 +78,9 @@ class CriticLearner:
 
     def learn(self, critique: Critique, order: Tensor) -> None:
         """One pass over the rows in this order."""
-        c, rows = self.config, (critique.seen, critique.predictions, critique.returns, critique.valid)
-        for seen, old, R, valid in minibatches(rows, order, c.minibatches):
+        c = self.config
+        held = critique.seen, critique.predictions, critique.returns, critique.valid
+        for seen, old, R, valid in minibatches(held, order, c.minibatches):
             part, taught = parts(valid, self.together)
             if c.value_norm:
                 self.value_norm.update(R, part, taught, self.together)
@@ -83,12 +110,14 @@ class CriticLearner:
         return self.value_norm.denormalise(values) if self.config.value_norm else values
 
 
-def value_loss(network: Critic, seen: Tensor, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig) -> Tensor:
+def value_loss(
+    network: Critic, seen: Tensor | Sequences, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig
+) -> Tensor:
     """The larger of the Huber losses of the value and of the value held within `clip` of what it was.
 
-    `part` (B,) is what each row is worth in the mean.
+    `part` (B,) is what each decision is worth in the mean.
     """
-    with networks(c.precision, seen.device):
+    with networks(c.precision, old.device):
         value = network(seen)
     clipped = old + (value - old).clamp(-c.clip, c.clip)
     losses = (huber_loss(v, target, reduction="none", delta=c.huber_delta) for v in (value, clipped))

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents import checkpoint
 from agents.actors import ActorLearner
-from agents.batch import Batch, Critique, Share, clean
+from agents.batch import Batch, Critique, Sequences, Share, clean, rows
 from agents.checkpoint import State
 from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
@@ -84,9 +84,9 @@ class Learner:
             critics = [Critic(seen, arch).to(self.device) for seen in sights]
         kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
         self.actor_learners = [kind(a, agents, c, together) for a, agents in zip(actors, led.values(), strict=True)]
-        self.critic_learners = [
-            CriticLearner(v, circle, c, together) for v, circle in zip(critics, circles, strict=True)
-        ]
+        of_critics = enumerate(zip(critics, circles, strict=True))
+        self.critic_learners = [CriticLearner(critic, circle, c, k, together) for k, (critic, circle) in of_critics]
+        self.remembered: Sequence[Tensor] = ()
         # Of each actor, then of each critic:
         self.observation_counts = torch.zeros(len(actors) + len(critics), device=self.device)
         self.steps = torch.zeros((), dtype=torch.int64)  # decisions × worlds learnt from, where step sizes decay
@@ -104,6 +104,8 @@ class Learner:
         Void decisions count for nothing: whatever they hold, the update is the same. Where all are void there is none.
         So are the numbers of an agent that was not alive: its rows teach its actor nothing and leave M as it is, a
         decision without any living agent is no part of Â's mean and deviation, and the critic sees zeros for it.
+        Where networks are recurrent, `remembered` then tells what each critic remembers (N, units) after the last
+        decision, for the batch that goes on from there; after a batch in which all is void it is empty.
         Raises Diverged where rewards, actions, log densities, losses, gradients or the state that results are not
         finite; the state is then worthless, and `load` brings back one that is not.
         """
@@ -111,14 +113,14 @@ class Learner:
         batch, known = self._begin(batch, run)
         if not known:
             return {}
-        critiques = [run(critic.criticise, batch) for critic in self.critic_learners]
+        critiques = self._criticised(batch, run)
         A_hat = run(self._standardised, critiques, batch.alive)
         decay = self._decay()
         with run.beside() as beside:  # critics and actors do not know of each other from here on
             for critic, critique in zip(self.critic_learners, critiques, strict=True):
                 critic.update(critique, decay, self.dice, beside)
 
-        M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, (T·N,)
+        M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, as rows
         shares: dict[int, Share] = {}
         for k in self._order():
             actor = self.actor_learners[k]
@@ -144,8 +146,8 @@ class Learner:
         batch, known = self._begin(batch, run)
         if not known:
             return {}
-        for critic in self.critic_learners:
-            critic.update(run(critic.criticise, batch), self._decay(), self.dice, run)
+        for critic, critique in zip(self.critic_learners, self._criticised(batch, run), strict=True):
+            critic.update(critique, self._decay(), self.dice, run)
         return self._read({})
 
     def _begin(self, batch: Batch, run: Run) -> tuple[Batch, bool]:
@@ -153,7 +155,10 @@ class Learner:
 
         Raises Diverged where it holds what no update can learn from; nothing has changed by then.
         """
-        agents = range(len(batch.actions))
+        self.remembered, agents = (), range(len(batch.actions))
+        if self.config.sequence is not None and not batch.recalled:
+            fresh = batch.rewards.new_zeros(batch.rewards.shape[1], self.config.architecture.recurrent)
+            batch = batch._replace(recalled=[fresh] * len(self.critic_learners))
         held = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
         batch, found = run(_cleaned, batch)
         known, *bad = self.together.any(found).tolist()
@@ -166,15 +171,20 @@ class Learner:
             tally.sums.zero_()
         return batch, True
 
+    def _criticised(self, batch: Batch, run: Run) -> list[Critique]:
+        critiques = [run(critic.criticise, batch) for critic in self.critic_learners]
+        self.remembered = [last for critique in critiques for last in critique.last]
+        return critiques
+
     @torch.no_grad()
     def _standardised(self, critiques: Sequence[Critique], alive: Sequence[Tensor]) -> list[Tensor]:
-        """Each agent's Â (T·N,): the team's, with the mean and deviation of the decisions in which anybody took part.
+        """Each agent's Â as rows: the team's, with the mean and deviation of the decisions in which anybody took part.
 
         In IPPO its own critic's, with those of the decisions in which it took part itself.
         """
 
         def standardised(A: Tensor, acted: Tensor) -> Tensor:
-            part, _ = parts(acted.flatten(), self.together)
+            part, _ = parts(rows(acted, self.config.sequence), self.together)
             (mean,) = self.together.sum((A * part).sum())
             gap = A - mean
             (variance,) = self.together.sum((gap**2 * part).sum())
@@ -203,8 +213,10 @@ class Learner:
 
     @torch.no_grad()
     def _observe(self, shares: Sequence[Share], critiques: Sequence[Critique]) -> None:
-        """Merge what actors and critics saw, each (B, obs), into the running statistics (Chan et al., 1979)."""
+        """Merge what actors and critics saw into the running statistics (Chan et al., 1979)."""
         seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
+        seen = [(x.observations if isinstance(x, Sequences) else x, valid) for x, valid in seen]
+        seen = [(obs.flatten(0, -2), valid.flatten()) for obs, valid in seen]  # each decision
         trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
         for trunk, (obs, valid), count in zip(trunks, seen, self.observation_counts, strict=True):
             part, _ = parts(valid, self.together)

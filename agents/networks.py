@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
+from agents.batch import Sequences
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
 
 _GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_gain; elu has none there
@@ -58,6 +59,74 @@ class Trunk(nn.Module):
         return x
 
 
+class GRU(nn.Module):
+    """A gated recurrent unit (Cho et al., 2014) over sequences, with torch.nn.GRUCell's formulas and names.
+
+    r, z = sigmoid(W x + b + U h + c);  n = tanh(W x + b + r·(U h + c));  h ← (1 − z)·n + z·h
+
+    Weights are orthogonal and biases zero, as HARL has them.
+    """
+
+    def __init__(self, size: int, units: int, layer_norm: bool):
+        super().__init__()
+        self.weight_ih = nn.Parameter(torch.empty(3 * units, size))
+        self.weight_hh = nn.Parameter(torch.empty(3 * units, units))
+        self.bias_ih = nn.Parameter(torch.zeros(3 * units))
+        self.bias_hh = nn.Parameter(torch.zeros(3 * units))
+        self.norm = nn.LayerNorm(units) if layer_norm else None
+        nn.init.orthogonal_(self.weight_ih)
+        nn.init.orthogonal_(self.weight_hh)
+
+    def forward(self, x: Tensor, first: Tensor, memory: Tensor) -> Tensor:
+        """What is remembered (B, L, units) after each of L inputs (B, L, size), given what was before (B, units).
+
+        Nothing that was before is remembered where an episode begins, `first` (B, L) bool.
+        """
+        units, states = memory.shape[-1], []
+        inputs = nn.functional.linear(x, self.weight_ih, self.bias_ih)
+        for new, begins in zip(inputs.unbind(1), first.unbind(1), strict=True):
+            memory = memory.masked_fill(begins[:, None], 0.0)
+            own = nn.functional.linear(memory, self.weight_hh, self.bias_hh)
+            r, z = torch.sigmoid(new[:, : 2 * units] + own[:, : 2 * units]).chunk(2, -1)
+            n = torch.tanh(new[:, 2 * units :] + r * own[:, 2 * units :])
+            memory = n + z * (memory - n)
+            states.append(memory)
+        return torch.stack(states, 1)
+
+    def told(self, states: Tensor) -> Tensor:
+        """What the last layer gets of what is remembered (..., units)."""
+        return states if self.norm is None else self.norm(states)
+
+
+class Network(nn.Module):
+    """Trunk and, where the architecture is recurrent, the GRU after it. A recurrent network sees sequences."""
+
+    def __init__(self, size: int, architecture: Architecture):
+        super().__init__()
+        self.trunk = Trunk(size, architecture)
+        self.width = architecture.recurrent or architecture.hidden[-1]  # of the last layer's input
+        recurrent, layer_norm = architecture.recurrent, architecture.layer_norm
+        self.gru = GRU(architecture.hidden[-1], recurrent, layer_norm) if recurrent else None
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of what it says; autocast may make what it computes with smaller."""
+        return self.trunk.observation_mean.dtype
+
+    def states(self, seen: Sequences) -> Tensor:
+        """What a recurrent network remembers (B, L, units) after each observation."""
+        assert self.gru is not None
+        return self.gru(self.trunk(seen.observations), seen.first, seen.memory)
+
+    def features(self, seen: Tensor | Sequences) -> Tensor:
+        """The last layer's input (..., width). Raises TypeError for a recurrent network that is shown no sequences."""
+        if self.gru is None:
+            return self.trunk(seen)
+        if not isinstance(seen, Sequences):
+            raise TypeError("a recurrent network sees sequences, and was given single observations")
+        return self.gru.told(self.states(seen))
+
+
 class Gaussian(Normal):
     """Torch's, with fewer kernels in its density and the gradient of it."""
 
@@ -74,11 +143,11 @@ class Gaussian(Normal):
         return self._log_std + (0.5 + LOG_ROOT)
 
 
-class Actor(nn.Module):
+class Actor(Network):
     """A diagonal Gaussian over actions, squashed where the architecture says so; else the robot clips what it is told.
 
-    Which parameters and buffers there are tells the policy in JAX what kind it is: `squash`, and `deviation` instead of
-    `std_logit`.
+    Which parameters and buffers there are tells the policy in JAX what kind it is: `squash`, `gru`, and `deviation`
+    instead of `std_logit`.
     """
 
     std_scale: Tensor  # () y
@@ -88,11 +157,10 @@ class Actor(nn.Module):
     weights: Tensor  # (NODES,) and how much each counts
 
     def __init__(self, observation_size: int, action_size: int, architecture: Architecture, initial_std: float):
-        super().__init__()
-        self.trunk = Trunk(observation_size, architecture)
-        self.mean = nn.Linear(architecture.hidden[-1], action_size)
+        super().__init__(observation_size, architecture)
+        self.mean = nn.Linear(self.width, action_size)
         if architecture.state_std:
-            self.deviation = nn.Linear(architecture.hidden[-1], action_size)
+            self.deviation = nn.Linear(self.width, action_size)
         else:
             self.std_logit = nn.Parameter(torch.ones(action_size))
         self.register_buffer("std_scale", torch.tensor(initial_std / torch.sigmoid(torch.tensor(1.0)).item()))
@@ -109,15 +177,15 @@ class Actor(nn.Module):
             nn.init.ones_(self.deviation.bias)
         self._squashed, self._state_std = architecture.squash is not None, architecture.state_std
 
-    def gaussian(self, observations: Tensor) -> Gaussian:
+    def gaussian(self, observations: Tensor | Sequences) -> Gaussian:
         """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
-        features = self.trunk(observations)
-        mean = self.mean(features).to(observations.dtype)  # autocast may have made it smaller
-        logit = self.deviation(features).to(observations.dtype) if self._state_std else self.std_logit
+        features = self.features(observations)
+        mean = self.mean(features).to(self.dtype)
+        logit = self.deviation(features).to(self.dtype) if self._state_std else self.std_logit
         std = torch.sigmoid(logit) * self.std_scale
         return Gaussian(mean, std.expand_as(mean))
 
-    def forward(self, observations: Tensor) -> "Gaussian | Squashed":
+    def forward(self, observations: Tensor | Sequences) -> "Gaussian | Squashed":
         """The distribution of actions (..., action_size) given observations (..., observation_size)."""
         gaussian = self.gaussian(observations)
         return Squashed(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
@@ -149,16 +217,29 @@ class Squashed:
         return self.gaussian.entropy() + (slope * self._weights).sum(-1)
 
 
-class Critic(nn.Module):
+class Critic(Network):
     """A team's value from all that is seen, such as agents' observations, in normalised units (see ValueNorm)."""
 
     def __init__(self, sizes: Sequence[int], architecture: Architecture):
-        super().__init__()
-        self.trunk = Trunk(sum(sizes), architecture)
-        self.value = nn.Linear(architecture.hidden[-1], 1)
+        super().__init__(sum(sizes), architecture)
+        self.value = nn.Linear(self.width, 1)
         nn.init.orthogonal_(self.value.weight, 1.0)
         nn.init.zeros_(self.value.bias)
 
-    def forward(self, seen: Tensor) -> Tensor:
+    def forward(self, seen: Tensor | Sequences) -> Tensor:
         """Values (...) of what is seen (..., sum of sizes), concatenated."""
-        return self.value(self.trunk(seen)).squeeze(-1).to(seen.dtype)
+        return self._value(self.features(seen))
+
+    def along(self, seen: Sequences, following: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """A recurrent critic's values (B, L) of what is seen and of what is `following` each of it (B, L, n).
+
+        And what it remembers (B, L, units). What follows belongs to the same episode, also where that ends.
+        """
+        assert self.gru is not None
+        states = self.states(seen)
+        alone = following.flatten(0, 1)[:, None]
+        then = self.states(Sequences(alone, seen.first.new_zeros(alone.shape[:2]), states.flatten(0, 1)))
+        return self._value(self.gru.told(states)), self._value(self.gru.told(then.view_as(states))), states
+
+    def _value(self, features: Tensor) -> Tensor:
+        return self.value(features).squeeze(-1).to(self.dtype)

@@ -5,12 +5,16 @@ Only `means` asks the device for numbers: all that comes before it can be replay
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
+from torch.utils import _pytree as pytree
 
 from agents.parallel import ALONE, Together
 from agents.settings import Precision
+
+Rows = TypeVar("Rows")  # tensors (B, ...) in lists and tuples
 
 BETAS, EPSILON = (0.9, 0.999), 1e-5
 
@@ -73,13 +77,15 @@ def orders(size: int, passes: int, dice: torch.Generator) -> Iterator[Tensor]:
         yield torch.randperm(size, generator=dice, device=dice.device)
 
 
-def minibatches(rows: Sequence[Tensor], order: Tensor, count: int) -> Iterator[tuple[Tensor, ...]]:
+def minibatches(rows: Rows, order: Tensor, count: int) -> Iterator[Rows]:
     """The rows (B, ...) of several tensors in this order, in `count` parts."""
-    yield from zip(*(x.index_select(0, order).chunk(count) for x in rows), strict=True)
+    tensors, tree = pytree.tree_flatten(rows)
+    for each in zip(*(x.index_select(0, order).chunk(count) for x in tensors), strict=True):
+        yield pytree.tree_unflatten(each, tree)
 
 
 def parts(valid: Tensor, together: Together = ALONE) -> tuple[Tensor, Tensor]:
-    """What each row (B,) is worth in a mean over the valid ones, which is Σ x · part; () 1, or 0 if there are none.
+    """What each decision (B, ...) is worth in a mean over the valid ones, Σ x · part; () 1, or 0 if there are none.
 
     Then all parts are 0, and so is the mean. The mean is that of all ranks' rows: each rank has a part of the sum.
     """

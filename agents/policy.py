@@ -2,6 +2,10 @@
 
 A `Crew` says who acts for one agent in K groups of worlds: a learned policy, of whatever network shape, or one of the
 scripts of the agent's kind. All of a crew act in one call.
+
+What recurrent policies remember is one array for each agent, (N, units): in every world what the policy there does. It
+is as wide as the widest of the crew needs, with zeros after what others use, so that whoever sits where, a world's
+memory stays in its place. Where nobody can remember anything there is none.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -57,16 +61,42 @@ def crew(policies: Sequence[Params | int], also: Sequence[Params | int] = ()) ->
     return Crew(tuple(_stack(column) for column in columns), jnp.asarray(part, jnp.int32), scripts)
 
 
-def act(members: Crew, observations: Array, keys: Array, scripts: Sequence[Script] = ()) -> tuple[Array, Array]:
+def units(members: Crew) -> int:
+    """How wide the memory of a crew is; 0 where nobody in it is recurrent."""
+    return max((_units(params) for params in members.parts), default=0)
+
+
+def remember(members: Crew, observations: Array, memory: Array, first: Array) -> Array:
+    """What a crew remembers (N, units) once it has seen observations (N, obs), of what it remembered before.
+
+    Nothing from before is remembered where an episode begins, `first` (N,) bool. The worlds are as in `act`.
+    """
+    groups = members.part.shape[0]
+    seen = observations.reshape(groups, -1, observations.shape[-1])
+    before = jnp.where(first[:, None], 0.0, memory).reshape(groups, -1, memory.shape[-1])
+    after = before
+    for number, params in enumerate(members.parts):
+        if size := _units(params):
+            own = jax.vmap(_gru)(params, jax.vmap(_trunk)(params, seen), before[..., :size])
+            own = jnp.pad(own, ((0, 0), (0, 0), (0, before.shape[-1] - size)))
+            after = jnp.where((members.part == number)[:, None, None], own, after)
+    return after.reshape(memory.shape)
+
+
+def act(
+    members: Crew, observations: Array, keys: Array, scripts: Sequence[Script] = (), memory: Array | None = None
+) -> tuple[Array, Array]:
     """Actions (N, act) and log densities (N,) for observations (N, obs) and one key for each world (N,).
 
     The N worlds are K equal groups, one after the other. A script's density is 0. Learned policies are evaluated for
-    all worlds; a script only for the groups in which it sits.
+    all worlds; a script only for the groups in which it sits. Recurrent ones act on what they remember by now, these
+    observations included: `memory` is what `remember` made of them.
     """
     groups = members.part.shape[0]
     seen, dice = observations.reshape(groups, -1, observations.shape[-1]), keys.reshape(groups, -1)
     if members.parts:
-        action, log_prob = _learned_actions(members, seen, dice)
+        kept = None if memory is None else memory.reshape(groups, -1, memory.shape[-1])
+        action, log_prob = _learned_actions(members, seen, dice, kept)
     else:
         like = jax.eval_shape(scripts[0], observations[0], keys[0])
         action, log_prob = jnp.zeros((*dice.shape, *like.shape), like.dtype), jnp.zeros(dice.shape)
@@ -79,21 +109,18 @@ def act(members: Crew, observations: Array, keys: Array, scripts: Sequence[Scrip
     return action.reshape(-1, action.shape[-1]), log_prob.reshape(-1)
 
 
-def distribution(params: Params, observations: Array) -> tuple[Array, Array]:
+def distribution(params: Params, observations: Array, memory: Array | None = None) -> tuple[Array, Array]:
     """Mean (n, act) and standard deviation of the Gaussian of actions for observations (n, obs), before any squashing.
 
-    The deviation is (act,), or (n, act) where the policy makes it depend on what is seen.
+    The deviation is (act,), or (n, act) where the policy makes it depend on what is seen. A recurrent policy needs what
+    it remembers by now (n, units).
     """
-    x = (observations - params["trunk.observation_mean"]) / jnp.sqrt(
-        jnp.maximum(params["trunk.observation_var"], VARIANCE_FLOOR)
-    )
-    x = jnp.clip(x, -params["trunk.observation_clip"], params["trunk.observation_clip"])
-    x = _layer_norm(params, 0, x)
-    layers = sum(name.startswith("trunk.hidden.") and name.endswith(".weight") for name in params)
-    for i in range(layers):
-        x = _linear(x, params[f"trunk.hidden.{i}.weight"], params[f"trunk.hidden.{i}.bias"])
-        x = jax.lax.switch(params["activation"], _ACTIVATIONS, x)
-        x = _layer_norm(params, i + 1, x)
+    if size := _units(params):
+        if memory is None:
+            raise ValueError("a recurrent policy acts on what it remembers: give it its memory")
+        x = _layer_norm(params, "gru.norm", memory[..., :size])
+    else:
+        x = _trunk(params, observations)
     mean = _linear(x, params["mean.weight"], params["mean.bias"])
     if "deviation.weight" in params:
         logit = _linear(x, params["deviation.weight"], params["deviation.bias"])
@@ -102,9 +129,43 @@ def distribution(params: Params, observations: Array) -> tuple[Array, Array]:
     return mean, jax.nn.sigmoid(logit) * params["std_scale"]
 
 
-def sample(params: Params, observations: Array, keys: Array) -> tuple[Array, Array]:
-    """Actions (n, act) and their log densities (n,) for observations (n, obs) and one key per world (n,)."""
-    mean, std = distribution(params, observations)
+def _trunk(params: Params, observations: Array) -> Array:
+    """Features (n, last hidden layer) of observations (n, obs)."""
+    x = (observations - params["trunk.observation_mean"]) / jnp.sqrt(
+        jnp.maximum(params["trunk.observation_var"], VARIANCE_FLOOR)
+    )
+    x = jnp.clip(x, -params["trunk.observation_clip"], params["trunk.observation_clip"])
+    x = _layer_norm(params, "trunk.norm.0", x)
+    layers = sum(name.startswith("trunk.hidden.") and name.endswith(".weight") for name in params)
+    for i in range(layers):
+        x = _linear(x, params[f"trunk.hidden.{i}.weight"], params[f"trunk.hidden.{i}.bias"])
+        x = jax.lax.switch(params["activation"], _ACTIVATIONS, x)
+        x = _layer_norm(params, f"trunk.norm.{i + 1}", x)
+    return x
+
+
+def _units(params: Params) -> int:
+    """How many numbers a policy remembers; 0 where it is not recurrent."""
+    return params["gru.weight_hh"].shape[-1] if "gru.weight_hh" in params else 0
+
+
+def _gru(params: Params, x: Array, memory: Array) -> Array:
+    """What is remembered (n, units) after features (n, hidden), by the formulas of `agents.networks.GRU`."""
+    size = memory.shape[-1]
+    news = _linear(x, params["gru.weight_ih"], params["gru.bias_ih"])
+    own = _linear(memory, params["gru.weight_hh"], params["gru.bias_hh"])
+    gates = jax.nn.sigmoid(news[:, : 2 * size] + own[:, : 2 * size])
+    r, z = gates[:, :size], gates[:, size:]
+    n = jnp.tanh(news[:, 2 * size :] + r * own[:, 2 * size :])
+    return n + z * (memory - n)
+
+
+def sample(params: Params, observations: Array, keys: Array, memory: Array | None = None) -> tuple[Array, Array]:
+    """Actions (n, act) and their log densities (n,) for observations (n, obs) and one key per world (n,).
+
+    A recurrent policy needs what it remembers by now (n, units).
+    """
+    mean, std = distribution(params, observations, memory)
     noise = jax.vmap(lambda key: jax.random.normal(key, mean.shape[-1:]))(keys)
     if "squash" in params:
         return _squashed(mean, std, mean + std * noise, params["squash"])
@@ -127,9 +188,9 @@ def _squashed(mean: Array, std: Array, drawn: Array, limit: Array) -> tuple[Arra
     return actions, log_density.sum(axis=-1)
 
 
-def _learned_actions(members: Crew, seen: Array, dice: Array) -> tuple[Array, Array]:
+def _learned_actions(members: Crew, seen: Array, dice: Array, memory: Array | None) -> tuple[Array, Array]:
     """Actions (K, n, act) and densities (K, n), each group's from the part that its policy is in."""
-    answers = [jax.vmap(sample)(params, seen, dice) for params in members.parts]
+    answers = [jax.vmap(sample)(params, seen, dice, memory) for params in members.parts]
     action, log_prob = answers[0]
     for number, (other, density) in enumerate(answers[1:], start=1):
         here = (members.part == number)[:, None]
@@ -161,9 +222,9 @@ def _linear(x: Array, weight: Array, bias: Array) -> Array:
     return jnp.matmul(x, weight.T, precision="highest") + bias
 
 
-def _layer_norm(params: Params, i: int, x: Array) -> Array:
-    if f"trunk.norm.{i}.weight" not in params:
+def _layer_norm(params: Params, name: str, x: Array) -> Array:
+    if f"{name}.weight" not in params:
         return x
     centred = x - x.mean(axis=-1, keepdims=True)
     scaled = centred * jax.lax.rsqrt((centred**2).mean(axis=-1, keepdims=True) + 1e-5)
-    return scaled * params[f"trunk.norm.{i}.weight"] + params[f"trunk.norm.{i}.bias"]
+    return scaled * params[f"{name}.weight"] + params[f"{name}.bias"]

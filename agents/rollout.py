@@ -12,12 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agents.policy import Crew, act
+from agents.policy import Crew, act, remember, units
 from arenas.arena import Arena
 from arenas.robots.robot import Script
 from arenas.state import Frames, State
 
 CUT_DICE = 0x7FFFFFFF  # the same key places the robots: an arena that splits it gets the keys of small numbers
+
+
+Memory = Mapping[str, Array]  # (N, units) by the names of agents in whose crew somebody is recurrent
 
 
 class Worlds(NamedTuple):
@@ -26,6 +29,7 @@ class Worlds(NamedTuple):
     state: State
     age: Array  # (N,) int32: decisions taken in the present episode
     left: Array  # (N,) int32: decisions until this episode, the first one here, is cut short; 0: it is not
+    memory: Memory | None = None  # what who sits there remembers of the present episode; see `remembering`
 
 
 class Trajectory(NamedTuple):
@@ -48,6 +52,7 @@ class Trajectory(NamedTuple):
     age: Array  # (T, N) int32: decisions of the episode so far, this one included
     # (T, N, privileged_size) twice, the whole state before and after each decision, where a critic sees it:
     whole: tuple[Array, ...] = ()
+    memories: Memory | None = None  # (T / chunk, N, units) before the first decision of each chunk, if asked for
 
 
 class Games(NamedTuple):
@@ -63,15 +68,23 @@ class Games(NamedTuple):
     running: Array  # (T, R) bool: the episode was still on before this decision
 
 
-Act = Callable[[Mapping[str, Crew], dict[str, Array], Array], tuple[dict[str, Array], dict[str, Array]]]
+Act = Callable[
+    [Mapping[str, Crew], dict[str, Array], Array, Memory | None, Array],
+    tuple[dict[str, Array], dict[str, Array], Memory | None],
+]
 
 
-def make_rollout(arena: Arena, length: int, privileged: bool = False) -> jax.stages.Wrapped:
+def make_rollout(
+    arena: Arena, length: int, chunk: int | None = None, privileged: bool = False
+) -> jax.stages.Wrapped:  # fmt: skip
     """Compile the training rollout: `rollout(crews, worlds, key) -> (worlds, trajectory)` of `length` decisions.
 
     `crews` are by agent name, N is a multiple of their K groups. Finished worlds begin anew at once. The buffers of
     `worlds` are used up. With `privileged` the trajectory holds the whole state too, of an arena that offers it.
+    Recurrent learners need what was remembered as each `chunk` of decisions began, into which the length is split.
     """
+    if chunk is not None and length % chunk:
+        raise ValueError(f"{length} decisions are no whole number of chunks of {chunk}")
     decide = _make_act(arena)
     whole = jax.vmap(arena.whole)
 
@@ -84,7 +97,9 @@ def make_rollout(arena: Arena, length: int, privileged: bool = False) -> jax.sta
         def decision(worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
             state = worlds.state
             act_key, place_key = jax.random.split(key)
-            actions, log_probs = decide(crews, state.observations, jax.random.split(act_key, number))
+            actions, log_probs, memory = decide(
+                crews, state.observations, jax.random.split(act_key, number), worlds.memory, worlds.age == 0
+            )
             after = jax.vmap(arena.step)(state, actions)
             verdict, age = after.verdict, worlds.age + 1
             cut = (worlds.left == 1) & ~after.done
@@ -97,9 +112,18 @@ def make_rollout(arena: Arena, length: int, privileged: bool = False) -> jax.sta
             )  # fmt: skip
             fresh = jax.vmap(arena.restart)(after, jax.random.split(place_key, number), over)
             left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))
-            return Worlds(fresh, jnp.where(over, 0, age), left), step
+            return Worlds(fresh, jnp.where(over, 0, age), left, memory), step
 
-        return jax.lax.scan(decision, worlds, jax.random.split(key, length))
+        def stretch(worlds: Worlds, keys: Array) -> tuple[Worlds, tuple[Memory | None, Trajectory]]:
+            after, steps = jax.lax.scan(decision, worlds, keys)
+            return after, (worlds.memory, steps)
+
+        worlds, keys = remembering(worlds, crews), jax.random.split(key, length)
+        if chunk is None:
+            return jax.lax.scan(decision, worlds, keys)
+        worlds, (memories, steps) = jax.lax.scan(stretch, worlds, keys.reshape(-1, chunk))
+        steps = jax.tree.map(lambda x: x.reshape(length, *x.shape[2:]), steps)
+        return worlds, steps._replace(memories=memories)
 
     return _compiled(rollout, donate_argnums=1)
 
@@ -128,9 +152,18 @@ def make_restart(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
     def restart(worlds: Worlds, keys: Array, where: Array) -> Worlds:
         state = jax.vmap(arena.restart)(worlds.state, keys, where)
         left = _cuts(arena, keys) if stagger else jnp.zeros_like(worlds.left)
-        return Worlds(state, jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left))
+        return Worlds(state, jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left), worlds.memory)
 
     return _compiled(restart, donate_argnums=0)
+
+
+def remembering(worlds: Worlds, crews: Mapping[str, Crew]) -> Worlds:
+    """The worlds with memory as wide as these crews need; what is remembered in them stays.
+
+    Whatever a world holds there is forgotten where its episode begins: in fresh worlds, after an episode's end, and
+    where `make_restart` has begun it anew because others sit there now.
+    """
+    return worlds._replace(memory=_fitted(worlds.memory, crews, worlds.age.shape[0]))
 
 
 def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrapped:
@@ -145,9 +178,10 @@ def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrappe
     def play(crews: Mapping[str, Crew], keys: Array) -> Games:
         start, dice = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 2))(keys), 1, 0)
 
-        def decision(state: State, t: Array) -> tuple[State, tuple]:
+        def decision(carry: tuple[State, Memory | None], t: Array) -> tuple[tuple[State, Memory | None], tuple]:
+            state, memory = carry
             keys = jax.vmap(lambda key: jax.random.fold_in(key, t))(dice)
-            actions, _ = decide(crews, state.observations, keys)
+            actions, _, memory = decide(crews, state.observations, keys, memory, jnp.broadcast_to(t == 0, keys.shape))
             after, frames = jax.vmap(arena.step_with_frames)(state, actions)
             watched = (
                 jax.tree.map(lambda x: jnp.moveaxis(x[kept], 0, 1), frames),
@@ -155,11 +189,11 @@ def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrappe
                 after.verdict.reward[kept],
                 ~state.done[kept],
             )
-            return after, (watched, ~state.done)
+            return (after, memory), (watched, ~state.done)
 
         state = jax.vmap(arena.reset)(start)
-        state, ((frames, actions, reward, running), on) = jax.lax.scan(
-            decision, state, jnp.arange(arena.timing.decisions)
+        (state, _), ((frames, actions, reward, running), on) = jax.lax.scan(
+            decision, (state, _fitted(None, crews, keys.shape[0])), jnp.arange(arena.timing.decisions)
         )
         return Games(
             state.verdict.score, state.void, state.culprits, on.sum(axis=0), frames, actions, reward, running
@@ -220,17 +254,35 @@ def _cuts(arena: Arena, keys: Array) -> Array:
     return jax.vmap(lambda key: jax.random.randint(key, (), 1, arena.timing.decisions + 1))(own)
 
 
+def _fitted(memory: Memory | None, crews: Mapping[str, Crew], number: int) -> Memory | None:
+    """The memory of so many worlds, its columns cut or followed by zeros as these crews need; None if they need none.
+
+    Zeros are what everybody remembers at first.
+    """
+    found = {}
+    for agent, members in crews.items():
+        if width := units(members):
+            before = (memory or {}).get(agent, jnp.zeros((number, 0)))[:, :width]
+            found[agent] = jnp.pad(before, ((0, 0), (0, width - before.shape[1])))
+    return found or None
+
+
 def _make_act(arena: Arena) -> Act:
-    """decide(crews, observations, keys (N,)) -> (actions, log_probs) by agent name."""
+    """decide(crews, observations, keys (N,), memory, first (N,)) -> (actions, log_probs, memory) by agent name."""
     scripts = {agent.kind: tuple(scripts_of(arena, agent.kind).values()) for agent in arena.agents}
 
-    def decide(crews: Mapping[str, Crew], observations: dict[str, Array], keys: Array) -> tuple[dict, dict]:
-        actions, log_probs = {}, {}
+    def decide(
+        crews: Mapping[str, Crew], observations: dict[str, Array], keys: Array, memory: Memory | None, first: Array
+    ) -> tuple[dict[str, Array], dict[str, Array], Memory | None]:
+        actions, log_probs, after = {}, {}, dict(memory or {})
         for i, agent in enumerate(arena.agents):
             own = jax.vmap(lambda key: jax.random.fold_in(key, i))(keys)  # noqa: B023  (called at once)
+            members, seen = crews[agent.name], observations[agent.name]
+            if agent.name in after:
+                after[agent.name] = remember(members, seen, after[agent.name], first)
             actions[agent.name], log_probs[agent.name] = act(
-                crews[agent.name], observations[agent.name], own, scripts[agent.kind]
+                members, seen, own, scripts[agent.kind], after.get(agent.name)
             )
-        return actions, log_probs
+        return actions, log_probs, after or None
 
     return decide

@@ -32,6 +32,8 @@ class Architecture:
     """Actions are this limit times tanh(Gaussian / limit), and so within ± it (none: the Gaussian's number itself)."""
     state_std: bool = False
     """The actions' deviation is an output of the network, instead of the same whatever is seen."""
+    recurrent: int = field(default=0, metadata={"low": 0, "high": 8192})
+    """Units of a GRU between the hidden layers and the last one, which remembers the episode so far (0: no GRU)."""
 
     def __post_init__(self) -> None:
         """Refuse widths below 1."""
@@ -96,6 +98,8 @@ class HappoConfig:
     """Passes over each batch, for actors and critic; HATRPO's actors take one step on the whole of it."""
     minibatches: int = field(default=4, metadata={"low": 1})
     """Parts into which each pass splits the batch."""
+    chunk: int = field(default=10, metadata={"low": 1, "high": 100_000})
+    """Consecutive decisions through which a recurrent network is taught at once; must divide training.rollout."""
     max_grad_norm: float = field(default=0.5, metadata={"low": 0.0})
     """Gradients are scaled down to this norm."""
     huber_delta: float = field(default=10.0, metadata={"low": 0.0})
@@ -119,9 +123,16 @@ class HappoConfig:
         """Refuse what contradicts itself."""
         if self.method == "ippo" and self.critic_input != "own":
             raise ValueError("critic_input: ippo's critics see what their own agents see; use own, or another method")
+        if self.architecture.recurrent and self.critic_input == "same":
+            raise ValueError("critic_input: one critic for all teams remembers nothing; use own, all or privileged")
         if self.method == "hatrpo":
             for name in ("kl_stop", "kl_step"):
                 if getattr(self, name) is not None:
                     raise ValueError(f"{name}: hatrpo bounds its steps itself; use trust_region.kl, and none here")
         if self.kl_step is not None and self.decay_steps:
             raise ValueError("kl_step: the step size can follow the KL divergence or decay_steps, not both")
+
+    @property
+    def sequence(self) -> int | None:
+        """Decisions in a row of what networks learn from: a chunk; None where each decision is a row of its own."""
+        return self.chunk if self.architecture.recurrent else None

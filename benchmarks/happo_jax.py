@@ -57,7 +57,8 @@ def team_of(learner: Learner) -> Team:
     """A learner's team as it is now. Raises ValueError where it has settings that are not known here."""
     c, state = learner.config, learner.state()
     architecture = c.architecture
-    if architecture.layer_norm or architecture.squash or architecture.state_std or c.method != "happo":
+    kinds = architecture.layer_norm, architecture.squash, architecture.state_std, architecture.recurrent
+    if any(kinds) or c.method != "happo":
         raise ValueError("the update in JAX knows plain Gaussian policies and HAPPO only")
     if c.share_actors or c.normalise_observations or c.kl_stop or c.kl_step or c.decay_steps or not c.value_norm:
         raise ValueError("the update in JAX knows the default learner only")

@@ -36,7 +36,8 @@ class Ground:
         self.config = replace(config, training=replace(config.training, rollout=args.decisions))
         self.worlds, self.args, self.repeats = worlds, args, args.repeats
         self.arena = self.config.arena.build(engine=self.config.engine, worlds=worlds)
-        self.rollout, self.reset = make_rollout(self.arena, args.decisions), make_reset(self.arena)
+        chunk = self.config.learner.sequence
+        self.rollout, self.reset = make_rollout(self.arena, args.decisions, chunk), make_reset(self.arena)
         self.steps = args.decisions * self.arena.timing.hold  # control steps of each world in a rollout
 
     @cached_property

@@ -44,10 +44,11 @@ def _facts(about: Mapping[str, Any], file: str) -> str:
 def _network(agent: Mapping[str, Any]) -> str:
     layers, norm = ", ".join(map(str, agent["hidden"])), " with LayerNorm" if agent["layer_norm"] else ""
     limit, by_state = agent["squash"], ", deviation by state" if agent["state_std"] else ""
+    gru = f", then a GRU of {agent['recurrent']} units" if agent.get("recurrent") else ""
     squashed = "" if limit is None else f", actions squashed to ±{limit:g}"
     return (
         f"{agent['kind']}: sees {agent['observation']} numbers, acts with {agent['action']}; hidden layers {layers},"
-        f" {agent['activation']}{norm}{by_state}{squashed}"
+        f" {agent['activation']}{norm}{gru}{by_state}{squashed}"
     )
 
 

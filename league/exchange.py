@@ -214,7 +214,9 @@ def agents_of(found: Mapping[str, np.ndarray], roster: str) -> list[dict[str, An
             hidden.append(weight.shape[0])
         normed = "trunk.norm.0.weight" in own
         kinds = "deviation.weight" in own, "squash" in own
-        wanted = _shapes(sees, acts, hidden, normed, *kinds)
+        gru = own.get("gru.weight_hh")
+        units = gru.shape[-1] if gru is not None and gru.ndim == 2 else 0
+        wanted = _shapes(sees, acts, hidden, normed, *kinds, units)
         for name in sorted(own.keys() ^ wanted.keys()):
             raise ValueError(f"agent {number} has {'an unknown' if name in own else 'no'} parameter {name}")
         for name, shape in wanted.items():
@@ -231,25 +233,30 @@ def agents_of(found: Mapping[str, np.ndarray], roster: str) -> list[dict[str, An
             "kind": kind, "observation": sees, "action": acts, "hidden": hidden,
             "activation": ACTIVATIONS[activation], "layer_norm": normed, "state_std": kinds[0],
             "squash": float(own["squash"]) if kinds[1] else None,
-        })  # fmt: skip
+        } | ({"recurrent": units} if units else {}))  # fmt: skip
     if unknown := sorted(found.keys() - used):
         raise ValueError(f"{unknown[0]} is a parameter of no agent of {roster}")
     return agents
 
 
 def _shapes(
-    sees: int, acts: int, hidden: list[int], normed: bool, state_std: bool, squashed: bool
+    sees: int, acts: int, hidden: list[int], normed: bool, state_std: bool, squashed: bool, units: int
 ) -> dict[str, tuple[int, ...]]:
-    """The parameters of an actor (agents/networks.py) by name."""
+    """The parameters of an actor (agents/networks.py) by name; `units` are its GRU's, 0 where it has none."""
     widths = [sees, *hidden]
+    last = units or widths[-1]
     shapes: dict[str, tuple[int, ...]] = {
         "activation": (), "std_scale": (),
-        "mean.bias": (acts,), "mean.weight": (acts, widths[-1]),
+        "mean.bias": (acts,), "mean.weight": (acts, last),
         "trunk.observation_mean": (sees,), "trunk.observation_var": (sees,), "trunk.observation_clip": (),
     }  # fmt: skip
-    deviation = {"deviation.bias": (acts,), "deviation.weight": (acts, widths[-1])}
+    deviation = {"deviation.bias": (acts,), "deviation.weight": (acts, last)}
     shapes |= deviation if state_std else {"std_logit": (acts,)}
     shapes |= {"squash": ()} if squashed else {}
+    if units:
+        shapes |= {f"gru.bias_{of}": (3 * units,) for of in ("ih", "hh")}
+        shapes |= {"gru.weight_ih": (3 * units, widths[-1]), "gru.weight_hh": (3 * units, units)}
+        shapes |= {"gru.norm.weight": (units,), "gru.norm.bias": (units,)} if normed else {}
     for i, (before, after) in enumerate(pairwise(widths)):
         shapes |= {f"trunk.hidden.{i}.weight": (after, before), f"trunk.hidden.{i}.bias": (after,)}
     for i, width in enumerate(widths if normed else ()):

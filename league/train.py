@@ -19,12 +19,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from agents.batch import Batch
-from agents.bridge import common_size, team_batch, to_jax
+from agents.bridge import Recalled, common_size, everywhere, team_batch, to_jax
 from agents.errors import Diverged
 from agents.happo import Learner, compare
 from agents.parallel import ALONE, Together
 from agents.policy import Crew
-from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes
+from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering
 from arenas.arena import Arena
 from arenas.state import TeamSpec
 from league import fading, heirs, memory
@@ -93,6 +93,7 @@ class Trainer:
         self._fading = {name: fading.begun(config.training, len(arena.teams)) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
+        self._recalled: dict[str, Recalled] = {}  # of players: what their critics remember of the group's worlds
         self._points: list[CurvePoint] = []
         self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
         self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
@@ -100,8 +101,8 @@ class Trainer:
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
         self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
-        privileged = config.learner.critic_input == "privileged"
-        self._rollout = Compiled(make_rollout(arena, config.training.rollout, privileged), arena)
+        chunk, privileged = config.learner.sequence, config.learner.critic_input == "privileged"
+        self._rollout = Compiled(make_rollout(arena, config.training.rollout, chunk, privileged), arena)
         self._shapes = self._architectures()
         self._each = beside(list(self.learners.values()))
         self._device = next(iter(self.learners.values())).device
@@ -187,7 +188,8 @@ class Trainer:
             name: outcomes(trajectory, self.players[name].team, lineup.worlds_of(name), self.together.add)
             for name in turn.learners
         }
-        taught = self._each(self._update, names, batches, [name in resting for name in names])
+        taught = list(self._each(self._update, names, batches, [name in resting for name in names]))
+        self._recall(names, lineup)
         diverged: dict[str, object] = {}
         for name, losses in zip(names, taught, strict=True):
             if isinstance(losses, Diverged):
@@ -211,12 +213,22 @@ class Trainer:
         except Diverged as error:
             return error
 
+    def _recall(self, names: Sequence[str], lineup: Lineup) -> None:
+        """Keep what critics remember of the worlds that they have just learnt from, for the rollout that goes on there.
+
+        Of other worlds they remember nothing, and nor does a critic that did not learn now: it has missed too much.
+        Like the worlds this is no part of a checkpoint: who goes on from one begins in fresh worlds.
+        """
+        for name in filter(None, lineup.turn.present):
+            remembered = self.learners[name].remembered if name in names else ()
+            self._recalled[name] = everywhere(remembered, lineup.worlds_of(name), lineup.worlds)
+
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
         team, sees = self.players[name].team, self.config.learner.critic_input
         return team_batch(
             trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(name),
             others=_others(self.config, self.arena, team), privileged=sees == "privileged",
-            common=self.arena.teams if sees == "same" else (),
+            common=self.arena.teams if sees == "same" else (), recalled=self._recalled.get(name, ()),
         )  # fmt: skip
 
     def _count(
@@ -330,7 +342,10 @@ class Trainer:
         else:
             keys = jax.random.split(self._key(turn, "worlds"), lineup.worlds)
             worlds = jax.block_until_ready(self._reset(keys))
-        return worlds, self._rollout.ready(self._crews(lineup), worlds, jax.random.key(0))
+            self._recalled |= {name: [] for name in turn.present}
+        crews = self._crews(lineup)
+        worlds = remembering(worlds, crews)
+        return worlds, self._rollout.ready(crews, worlds, jax.random.key(0))
 
     def _key(self, turn: TrainingTurn, purpose: str) -> Array:
         """A key for one purpose and moment, the same in every process and after every restart."""

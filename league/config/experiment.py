@@ -80,10 +80,17 @@ class Config:
             )
         if rating.share == 0.0 and self.budget.success is not None:
             raise ValueError("rating.share: must be above 0 where budget.success is set, which is rated while training")
+        chunk = self.learner.sequence or 1
+        if training.rollout % chunk:
+            fit = max(n for n in range(1, chunk) if training.rollout % n == 0)
+            raise ValueError(
+                f"learner.chunk: must divide training.rollout, {training.rollout}, where"
+                f" learner.architecture.recurrent is set; use {fit}, or another rollout"
+            )
         if training.worlds is not None:
-            samples = training.worlds * training.rollout
+            samples, of = training.worlds * training.rollout // chunk, " / chunk" if chunk > 1 else ""
             if self.learner.minibatches > samples:
-                raise ValueError(f"learner.minibatches: a batch has only {samples} samples, worlds × rollout")
+                raise ValueError(f"learner.minibatches: a batch has only {samples} samples, worlds × rollout{of}")
             if training.opponents.past and training.opponents.groups > training.worlds:
                 raise ValueError(f"training.opponents.groups: there are only {training.worlds} worlds to share")
         if training.devices > 1:

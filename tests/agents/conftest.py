@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import arenas
-from agents.batch import Batch
+from agents.batch import Batch, Sequences
 from agents.happo import Learner
 from agents.networks import Actor, Squashed
 from agents.rollout import make_rollout
@@ -31,7 +31,12 @@ def scrambled_actor(seed: int, architecture: Architecture, observations: int = 2
 
 
 def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float = 0.0) -> Batch:
-    """Random experience whose actions come from the learner's actors; stale by up to 30 % in density."""
+    """Random experience whose actions come from the learner's actors; stale by up to 30 % in density.
+
+    Recurrent actors remember it as they should; what was before the first decision they remember too.
+    """
+    if learner.config.sequence is not None:
+        return remembered_batch(learner, seed, T, N, void)
     rng = torch.Generator().manual_seed(seed)
 
     def normal(*shape: int) -> torch.Tensor:
@@ -55,6 +60,42 @@ def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float 
     kinds = (ends < 0.1, (ends > 0.1) & (ends < 0.2), ends > 1 - void)  # terminated, truncated, void
     alive = [torch.ones((T, N), dtype=torch.bool) for _ in learner.actors]
     return Batch(observations, following, actions, log_probs, alive, alive, normal(T, N) + 2.0, *kinds)
+
+
+def remembered_batch(learner: Learner, seed: int, T: int, N: int, void: float) -> Batch:
+    """The same of recurrent actors, one decision after the other."""
+    rng, chunk, units = torch.Generator().manual_seed(seed), learner.config.chunk, learner.config.architecture.recurrent
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=rng)
+
+    ends = torch.rand((T, N), generator=rng)
+    kinds = (ends < 0.1, (ends > 0.1) & (ends < 0.2), ends > 1 - void)
+    over = (kinds[0] | kinds[1] | kinds[2])[:-1]
+    first = torch.cat([torch.arange(N)[None] % 2 == 0, over])
+    observations = [normal(T, N, actor.trunk.observation_mean.numel()) for actor in learner.actors]
+    following = [normal(*o.shape) for o in observations]
+    actions, log_probs, memories = ([[] for _ in observations] for _ in range(3))
+    with torch.no_grad():
+        for i, actor in enumerate(learner.actors):
+            memory = 0.5 * normal(N, units)
+            for t in range(T):
+                if t % chunk == 0:
+                    memories[i].append(memory)
+                now = Sequences(observations[i][t][:, None], first[t][:, None], memory)
+                policy, gaussian = actor(now), actor.gaussian(now)
+                action = gaussian.mean + gaussian.stddev * normal(*gaussian.mean.shape)
+                if isinstance(policy, Squashed):
+                    action = policy.limit * torch.tanh(action / policy.limit)
+                actions[i].append(action[:, 0])
+                stale = 0.3 * (2 * torch.rand(N, generator=rng) - 1)
+                log_probs[i].append(policy.log_prob(action).sum(-1)[:, 0] + stale)
+                memory = actor.states(now)[:, 0]
+    actions, log_probs, memories = ([torch.stack(x) for x in each] for each in (actions, log_probs, memories))
+    alive = [torch.ones((T, N), dtype=torch.bool) for _ in learner.actors]
+    batch = Batch(observations, following, actions, log_probs, alive, alive, normal(T, N) + 2.0, *kinds)
+    recalled = [0.5 * normal(N, units) for _ in learner.critic_learners]
+    return batch._replace(first=[first], memories=memories, recalled=recalled)
 
 
 @pytest.fixture(scope="session", autouse=True)

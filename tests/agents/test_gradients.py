@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from agents.actors import surrogate_loss
-from agents.batch import Share
+from agents.batch import Sequences, Share
 from agents.critics import value_loss
 from agents.graphs import Plainly
 from agents.happo import Learner
@@ -27,6 +27,11 @@ ARCHITECTURES = {
     "squashed": Architecture((5,), squash=1.5),
     "state_std": Architecture((5,), state_std=True),
     "both": Architecture((5,), squash=0.8, state_std=True),
+}
+RECURRENT = {
+    "plain": Architecture((5,), recurrent=4),
+    "layer norm": Architecture((5, 4), "elu", layer_norm=True, recurrent=3),
+    "both": Architecture((5,), squash=0.8, state_std=True, recurrent=4),
 }
 
 
@@ -78,6 +83,30 @@ def test_a_critic_follows_the_slope_of_its_loss():
         seen, target = torch.randn(40, 6).double(), 1.5 * torch.randn(40).double()
     old = critic(seen).detach() + 0.3 * torch.linspace(-1, 1, 40).double()
     assert_gradient(critic, lambda: value_loss(critic, seen, old, target, EQUALLY, CONFIG))
+
+
+@pytest.mark.parametrize("architecture", RECURRENT.values(), ids=RECURRENT)
+def test_recurrent_networks_follow_the_slope_of_their_losses_through_chunks(architecture, scramble):
+    """Ten chunks of four decisions, in which episodes end and some decisions do not count."""
+    actor: Actor = scramble(0, architecture, observations=6).double()
+    rng = torch.Generator().manual_seed(1)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(shape, generator=rng, dtype=torch.float64)
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        critic = Critic([6], architecture).double()
+    obs, actions = normal(10, 4, 6), 0.6 * torch.tanh(normal(10, 4, 2))
+    seen = Sequences(obs, torch.rand((10, 4), generator=rng) < 0.2, normal(10, architecture.recurrent))
+    valid = torch.rand((10, 4), generator=rng) < 0.8
+    with torch.no_grad():
+        old = actor(seen).log_prob(actions).sum(-1) + 0.2 * normal(10, 4)
+        value = critic(seen) + 0.3 * normal(10, 4)
+    share = Share(seen, actions, old, normal(10, 4).masked_fill(~valid, 0.0), valid)
+    part, target = parts(valid)[0].double(), 1.5 * normal(10, 4)
+    assert_gradient(actor, lambda: surrogate_loss(actor, share, part, CONFIG)[0])
+    assert_gradient(critic, lambda: value_loss(critic, seen, value, target, part, CONFIG))
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES.values(), ids=ARCHITECTURES)

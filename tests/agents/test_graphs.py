@@ -35,6 +35,15 @@ VARIANTS = {
     "decay": {"decay_steps": 400},
     "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
     "bf16": {"precision": "bf16"},
+    "recurrent": {"architecture": Architecture((6,), recurrent=5), "chunk": 4},
+    "recurrent, shared": {
+        "architecture": Architecture((6,), "elu", True, recurrent=5),
+        "chunk": 2,
+        "share_actors": True,
+    },
+    "recurrent ippo": {"architecture": Architecture((6,), recurrent=5), "chunk": 8, "method": "ippo"},
+    "recurrent hatrpo": {"architecture": Architecture((6,), recurrent=5), "chunk": 4, "method": "hatrpo"},
+    "recurrent bf16": {"architecture": Architecture((6,), recurrent=5), "chunk": 4, "precision": "bf16"},
     "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
 }
 ASKS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal")

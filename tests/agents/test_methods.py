@@ -376,6 +376,14 @@ VARIANTS = {
     "squashed": {"architecture": Architecture((5,), squash=1.5)},
     "state_std": {"architecture": Architecture((5,), state_std=True)},
     "both": {"architecture": Architecture((5,), squash=1.0, state_std=True), "method": "hatrpo"},
+    "recurrent": {"architecture": Architecture((5,), recurrent=4), "chunk": 4},
+    "recurrent, shared": {
+        "architecture": Architecture((5,), recurrent=4, squash=1.0, layer_norm=True),
+        "chunk": 2,
+        "share_actors": True,
+    },
+    "recurrent ippo": {"architecture": Architecture((5,), recurrent=4, state_std=True), "chunk": 8, "method": "ippo"},
+    "recurrent hatrpo": {"architecture": Architecture((5,), recurrent=4), "chunk": 4, "method": "hatrpo"},
 }
 
 
@@ -426,6 +434,7 @@ def test_settings_that_are_off_leave_no_trace_in_a_checkpoint():
         ("shared", r"does not fit this learner: actor\.1\."),
         ("ippo", r"does not fit this learner: critic\.trunk\."),
         ("hatrpo", r"does not fit this learner: adam\.actor\.0"),
+        ("recurrent", r"does not fit this learner: actor\.0\.mean\.weight"),
     ],
 )
 def test_a_checkpoint_of_another_variant_is_refused(saved, named, same):

@@ -132,7 +132,13 @@ def test_a_file_holds_the_networks_parameters_and_all_that_is_known(home, file, 
     assert (tmp_path / "again").read_bytes() == file.read_bytes()
 
 
-@pytest.mark.parametrize("kind", [{"squash": 2.0}, {"state_std": True}, {"squash": 0.5, "state_std": True}])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"squash": 2.0}, {"state_std": True}, {"squash": 0.5, "state_std": True}, {"recurrent": 4},
+        {"recurrent": 3, "layer_norm": True, "state_std": True},
+    ],
+)  # fmt: skip
 def test_every_kind_of_policy_is_told_and_comes_back(kind, home, tmp_path, capsys):
     data = actor(5, hidden=(8,), **kind)
     home.add_snapshots([Snapshot("home", "blue@9", home.blobs.put(data), ROSTER, "blue", iteration=9, arena=KEY)])
@@ -143,6 +149,7 @@ def test_every_kind_of_policy_is_told_and_comes_back(kind, home, tmp_path, capsy
     assert arrays.to_bytes(policy.arrays) == data
     card = path.with_name("nine.safetensors.md").read_text()
     assert ("squashed to ±" in card, "deviation by state" in card) == ("squash" in kind, "state_std" in kind)
+    assert (f"then a GRU of {kind.get('recurrent')} units" in card) == ("recurrent" in kind)
 
 
 def test_the_card_tells_what_the_store_knows(file):
