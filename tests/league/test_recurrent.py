@@ -33,7 +33,8 @@ from storage.store import Store
 
 LEAGUE, UNITS = "memory", 5
 GAME = configuration.default("rock-paper-scissors")
-GAME = replace(GAME, league=LEAGUE, arena=replace(GAME.arena, rules=replace(GAME.arena.rules, rounds=3)))
+RATING = replace(GAME.rating, milestones=())  # the clock ends no turn, however slow the machine is
+GAME = replace(GAME, league=LEAGUE, rating=RATING, arena=replace(GAME.arena, rules=replace(GAME.arena.rules, rounds=3)))
 
 
 def settings(schedule=Schedule(), opponents=Opponents(), architecture=None, **changes) -> Config:  # noqa: B008  (frozen)
