@@ -31,7 +31,7 @@ def examine_checkpoints(store: Store, config: Config, arena: "Arena", players: l
         before = None  # written by another version
     if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
         return
-    from league.train import new_learner
+    from league.learners import new_learner
 
     on_cpu = _on_cpu(config)
     kept = store.newest_checkpoints(config.league)
@@ -51,7 +51,7 @@ def examine_checkpoints(store: Store, config: Config, arena: "Arena", players: l
 
 def examine_start(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
     """A league after others begins with networks that its players can have; that is found out by trying."""
-    from league.train import new_learner
+    from league.learners import new_learner
 
     found = heirs.of(store, players, config.after, config.learner.critic_input)
     for player in players:

@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -19,20 +19,19 @@ import jax.numpy as jnp
 from jax import Array
 
 from agents.batch import Batch
-from agents.bridge import Recalled, common_size, everywhere, team_batch, to_jax
+from agents.bridge import Recalled, everywhere, team_batch, to_jax
 from agents.errors import Diverged
 from agents.happo import Learner, compare
 from agents.parallel import ALONE, Together
 from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering
 from arenas.arena import Arena
-from arenas.state import TeamSpec
 from league import fading, heirs, memory
 from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
-from league.config.sections import named_players
 from league.jobs import TrainingTurn
+from league.learners import new_learner, others
 from league.lineup import Lineup
 from league.policies import freeze
 from matchmaking.schedule import Learnt, next_due, remaining
@@ -227,7 +226,7 @@ class Trainer:
         team, sees = self.players[name].team, self.config.learner.critic_input
         return team_batch(
             trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self._shaping(name),
-            others=_others(self.config, self.arena, team), privileged=sees == "privileged",
+            others=others(self.config, self.arena, team), privileged=sees == "privileged",
             common=self.arena.teams if sees == "same" else (), recalled=self._recalled.get(name, ()),
         )  # fmt: skip
 
@@ -401,25 +400,3 @@ class Trainer:
 def random_key(seed: int, purpose: str, number: int) -> Array:
     """A key for one purpose, the same in every process and after every restart."""
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), crc32(purpose.encode())), number)
-
-
-def new_learner(config: Config, arena: Arena, player: Player, together: Together = ALONE) -> Learner:
-    """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
-    agents = arena.teams[player.team].agents
-    settings = config.learner
-    for own in (entry for entry in named_players(config.players) if entry.name == player.name):
-        if own.hidden is not None:
-            settings = replace(settings, architecture=replace(settings.architecture, hidden=own.hidden))
-        if own.lr is not None:
-            settings = replace(settings, lr=own.lr, critic_lr=own.lr)
-    seed = crc32(f"{config.seed}/{player.name}".encode())
-    sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
-    others = [a.observation_size for team in _others(config, arena, player.team) for a in team.agents]
-    kinds, sees = [a.kind for a in agents], settings.critic_input
-    sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
-    return Learner(*sizes, settings, seed, config.training.device, kinds, others, sight, together)
-
-
-def _others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
-    """The teams whose observations a team's critic sees beside its own."""
-    return [t for i, t in enumerate(arena.teams) if i != team and config.learner.critic_input == "all"]

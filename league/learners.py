@@ -1,0 +1,35 @@
+"""A player's learner, as the league's settings and its own have it."""
+
+from dataclasses import replace
+from zlib import crc32
+
+from agents.bridge import common_size
+from agents.happo import Learner
+from agents.parallel import ALONE, Together
+from arenas.arena import Arena
+from arenas.state import TeamSpec
+from league.config.experiment import Config
+from league.config.sections import named_players
+from storage.records import Player
+
+
+def new_learner(config: Config, arena: Arena, player: Player, together: Together = ALONE) -> Learner:
+    """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
+    agents = arena.teams[player.team].agents
+    settings = config.learner
+    for own in (entry for entry in named_players(config.players) if entry.name == player.name):
+        if own.hidden is not None:
+            settings = replace(settings, architecture=replace(settings.architecture, hidden=own.hidden))
+        if own.lr is not None:
+            settings = replace(settings, lr=own.lr, critic_lr=own.lr)
+    seed = crc32(f"{config.seed}/{player.name}".encode())
+    sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
+    beside = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]
+    kinds, sees = [a.kind for a in agents], settings.critic_input
+    sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
+    return Learner(*sizes, settings, seed, config.training.device, kinds, beside, sight, together)
+
+
+def others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
+    """The teams whose observations a team's critic sees beside its own."""
+    return [t for i, t in enumerate(arena.teams) if i != team and config.learner.critic_input == "all"]
