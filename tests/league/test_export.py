@@ -223,8 +223,9 @@ def test_what_comes_with_the_league_fits_the_arena_that_it_learnt_in(name, tmp_p
     policy = exchange.read(exchange.find(name))
     settings = configuration.loads(policy.about["settings"])
     assert settings.arena.name == policy.about["arena"]["arena"]
-    side = next(iter(settings.arena.outline().teams.values()))
-    roster = "+".join(f"{seat.kind}:{seat.sees}:{seat.acts}" for seat in side)
+    sides = settings.arena.outline().teams.values()
+    rosters = ["+".join(f"{seat.kind}:{seat.sees}:{seat.acts}" for seat in side) for side in sides]
+    (roster,) = {*rosters} & {policy.about["roster"]}
     league_at(tmp_path / "away", "away", roster).close()
     said = ran(capsys, "import", name, "--as", "strong", "--store", str(tmp_path / "away"))
     assert said.startswith("strong of league away is ")
