@@ -343,7 +343,7 @@ class Late(Race):
         self.calls = itertools.count()
 
     def place(self, key):
-        if next(self.calls) > 0:
+        if next(self.calls) > 1:  # the hooks are asked what a game is like, and what it tells a critic
             raise SystemExit(3)
         return super().place(key)
 

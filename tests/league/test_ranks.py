@@ -221,6 +221,7 @@ def children(pid: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_killed_workers_and_managers_leave_no_rank_behind_and_the_league_goes_on(tmp_path):
     def worker(store):
         return next((w for w in store.workers("tiny", 5) if w.kinds == "train" and w.status.get("iteration")), None)
