@@ -49,7 +49,7 @@ def examine_checkpoints(store: Store, config: Config, arena: "Arena", players: l
             ) from None
 
 
-def examine_start(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
+def examine_start(store: Store | None, config: Config, arena: "Arena", players: list[Player]) -> None:
     """A league after others begins with networks that its players can have; that is found out by trying."""
     from league.learners import new_learner
 

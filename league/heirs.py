@@ -154,8 +154,10 @@ def _frozen(name: str) -> Player:
     return Player(name, about["name"], 0, FROZEN, about["roster"])
 
 
-def of(store: Store, players: Sequence[Player], after: Sequence[str], critic_input: str = "own") -> dict[str, Heritage]:
-    """What the players of a league start from, by what the store holds of the leagues named in `after`.
+def of(
+    store: Store | None, players: Sequence[Player], after: Sequence[str], critic_input: str = "own"
+) -> dict[str, Heritage]:
+    """What the players of a league start from, by what the store, if there is one, holds of what is named in `after`.
 
     A critic that saw something else starts afresh. Raises UnknownName as `forerunners` does, Misfit as `heritage`.
     """
@@ -166,13 +168,14 @@ def of(store: Store, players: Sequence[Player], after: Sequence[str], critic_inp
     }
 
 
-def _saw(store: Store, league: str) -> str:
+def _saw(store: Store | None, league: str) -> str:
     """What the critics of a league of this store see."""
+    assert store is not None  # a frozen policy has no critic
     learner = toml.parse(store.league(league).config, league).get("learner", {})
     return str(learner.get("critic_input", "own"))
 
 
-def start(store: Store, learner: "Learner", heritage: Heritage) -> str | None:
+def start(store: Store | None, learner: "Learner", heritage: Heritage) -> str | None:
     """Give a new learner the weights that are its player's by heritage; the name of the first one's checkpoint.
 
     Raises StorageError where a player has no checkpoint yet, or one that is damaged or of another network.
@@ -187,9 +190,9 @@ def start(store: Store, learner: "Learner", heritage: Heritage) -> str | None:
     return next((name for name, _ in kept.values()), None)
 
 
-def _state(store: Store, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
+def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
     """A forerunner's name and its learner's state; of a frozen policy only what an actor takes over."""
-    if league not in {known.name for known in store.leagues()}:
+    if store is None or league not in {known.name for known in store.leagues()}:
         return f"{league}/{player}", _thawed(exchange.read(exchange.find(league)))
     kept = store.checkpoint(league, player)
     if kept is None:

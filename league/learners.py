@@ -1,6 +1,10 @@
-"""A player's learner, as the league's settings and its own have it."""
+"""Players' learners: made as the league's settings and their own have them, and how several learn at once."""
 
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 from zlib import crc32
 
 from agents.bridge import common_size
@@ -24,12 +28,21 @@ def new_learner(config: Config, arena: Arena, player: Player, together: Together
             settings = replace(settings, lr=own.lr, critic_lr=own.lr)
     seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
-    beside = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]
+    theirs = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]
     kinds, sees = [a.kind for a in agents], settings.critic_input
     sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
-    return Learner(*sizes, settings, seed, config.training.device, kinds, beside, sight, together)
+    return Learner(*sizes, settings, seed, config.training.device, kinds, theirs, sight, together)
 
 
 def others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
     """The teams whose observations a team's critic sees beside its own."""
     return [t for i, t in enumerate(arena.teams) if i != team and config.learner.critic_input == "all"]
+
+
+def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
+    """A `map` under which learners learn at the same time on a CPU's cores, which one alone does not fill.
+
+    A GPU is asked by one thread: it is busy with one update. So are ranks, that all may hear the same in one order.
+    """
+    free = all(learner.device.type == "cpu" and learner.together.size == 1 for learner in learners)
+    return ThreadPoolExecutor(os.cpu_count(), "update").map if free else map

@@ -156,7 +156,7 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     Raises StorageError, before anything is written, where the league has players that contradict these.
     """
     from league.exchange import bring_in_trained
-    from league.fits import examine_checkpoints, examine_start
+    from league.fits import examine_checkpoints
     from league.policies import add_scripts
     from league.query import Open
 
@@ -172,8 +172,6 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
                 " [[players]], or choose another league name",
             )
         store.add_players(players)  # refuses those that contradict what is there
-    elif config.after:
-        examine_start(store, config, arena, players)
     store.create_league(League(config.league, configuration.dumps(config)))
     store.add_players(players)
     add_scripts(store, config.league, arena, _scripts(config, arena))
@@ -209,11 +207,26 @@ def _examine_heritage(where: str, config: Config, stages: list[list[Player]]) ->
 
 def _forerunners(where: str, config: Config) -> list[Sequence[Player]]:
     """The players of what is named in `after`; a store that is not there yet has none."""
+    if not config.after:
+        return []
     try:
         with Store.open(where, blobs=config.storage.blobs) as store:
             return forerunners(store, config.after)
     except NotAStore:
         return forerunners(None, config.after)
+
+
+def _examine_start(where: str, config: Config, arena: "Arena") -> None:
+    """A new league's players must be able to take over the networks of what is named in `after`."""
+    from league.fits import examine_start
+
+    players = players_of(config, arena)
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            if config.league not in {league.name for league in store.leagues()}:
+                examine_start(store, config, arena, players)
+    except NotAStore:
+        examine_start(None, config, arena, players)
 
 
 def _built(config: Config) -> "Arena":
@@ -351,6 +364,9 @@ def _serve(request: Mapping[str, Any]) -> Prepared:
     if os.getppid() != request["parent"]:
         raise PrepareError("the process that asked has gone; nothing was written")
     _examine_heritage(request["where"], config, list(map(players_of, stages or [config], arenas)))
+    first = (stages or [config])[0]
+    if first.after:
+        _examine_start(request["where"], first, arenas[0])
     with Store.open(request["where"], create=True, blobs=config.storage.blobs) as store:
         if stages:  # each is made when it is its turn
             store.create_league(League(config.league, configuration.dumps(config)))

@@ -6,12 +6,10 @@ act in N worlds; then each learning team updates its agents one after the other 
 critic and a value normaliser of its own. What is added: in some worlds the other teams may be past snapshots.
 """
 
-import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import jax
@@ -21,7 +19,7 @@ from jax import Array
 from agents.batch import Batch
 from agents.bridge import Recalled, everywhere, team_batch, to_jax
 from agents.errors import Diverged
-from agents.happo import Learner, compare
+from agents.happo import compare
 from agents.parallel import ALONE, Together
 from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering
@@ -31,7 +29,7 @@ from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.jobs import TrainingTurn
-from league.learners import new_learner, others
+from league.learners import beside, new_learner, others
 from league.lineup import Lineup
 from league.policies import freeze
 from matchmaking.schedule import Learnt, next_due, remaining
@@ -63,15 +61,6 @@ class PlayerDiverged(Exception):  # noqa: N818  (a sentence: "the player diverge
     def __init__(self, player: str, reason: object):
         super().__init__(f"{player} diverged: {reason}")
         self.player = player
-
-
-def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
-    """A `map` under which learners learn at the same time on a CPU's cores, which one alone does not fill.
-
-    A GPU is asked by one thread: it is busy with one update. So are ranks, that all may hear the same in one order.
-    """
-    free = all(learner.device.type == "cpu" and learner.together.size == 1 for learner in learners)
-    return ThreadPoolExecutor(os.cpu_count(), "update").map if free else map
 
 
 class Trainer:

@@ -19,33 +19,19 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from agents import graphs
 from agents.batch import Batch
 from agents.happo import Learner
-from agents.settings import Architecture, HappoConfig
+from agents.settings import Architecture
+from tests.agents import variants
+from tests.agents.variants import BASE, RECURRENT, SIDES, SIGHT, with_sides
 
-BASE = HappoConfig(
-    Architecture((6,)), lr=0.01, critic_lr=0.02, epochs=3, minibatches=3, normalise_observations=True, max_grad_norm=0.5
-)
-VARIANTS = {
-    "happo": {},
-    "mappo": {"method": "mappo"},
-    "ippo": {"method": "ippo"},
-    "hatrpo": {"method": "hatrpo"},
-    "shared": {"share_actors": True},
-    "kl_stop": {"kl_stop": 0.02},
-    "kl_step": {"kl_step": 0.01},
-    "decay": {"decay_steps": 400},
+VARIANTS = variants.VARIANTS | {
     "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
     "bf16": {"precision": "bf16"},
-    "recurrent": {"architecture": Architecture((6,), recurrent=5), "chunk": 4},
     "recurrent, shared": {
-        "architecture": Architecture((6,), "elu", True, recurrent=5),
-        "chunk": 2,
-        "share_actors": True,
+        "architecture": Architecture((6,), "elu", True, recurrent=5), "chunk": 2, "share_actors": True
     },
-    "recurrent ippo": {"architecture": Architecture((6,), recurrent=5), "chunk": 8, "method": "ippo"},
-    "recurrent hatrpo": {"architecture": Architecture((6,), recurrent=5), "chunk": 4, "method": "hatrpo"},
-    "recurrent bf16": {"architecture": Architecture((6,), recurrent=5), "chunk": 4, "precision": "bf16"},
+    "recurrent bf16": RECURRENT | {"precision": "bf16"},
     "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
-}
+}  # fmt: skip
 ASKS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal")
 on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 
@@ -121,7 +107,8 @@ def device(request, monkeypatch) -> str:
 def pair(variant: dict, device: str) -> tuple[Learner, Learner]:
     """Two equal learners of which the first replays."""
     replaying, plain = (
-        Learner([4, 4, 3], [2, 2, 1], replace(BASE, **variant, graphs=on), 3, device) for on in (True, False)
+        Learner([4, 4, 3], [2, 2, 1], replace(BASE, **variant, graphs=on), 3, device, sight=SIGHT)
+        for on in (True, False)
     )
     replaying.graphs.on = True
     return replaying, plain
@@ -129,10 +116,11 @@ def pair(variant: dict, device: str) -> tuple[Learner, Learner]:
 
 def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
     """A batch with void decisions and agents that are out of the game."""
-    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3)
+    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3, sight=SIGHT)
     batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
     alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
     batch = batch._replace(alive=alive[:3], next_alive=alive[3:])
+    batch = with_sides(batch, SIDES.get(learner.config.critic_input, 0), seed=seed)
     return pytree.tree_map(lambda x: x.to(learner.device), batch)
 
 

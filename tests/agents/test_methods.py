@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from agents.batch import Batch, Side, clean
+from agents.batch import Batch, clean
 from agents.errors import Diverged
 from agents.happo import Learner
 from agents.settings import Architecture, HappoConfig
@@ -16,6 +16,7 @@ from league.config.build import build
 from league.config.experiment import Config
 from league.config.schema import ConfigError
 from storage import arrays
+from tests.agents.variants import with_sides
 
 PLAIN = HappoConfig(
     Architecture((5,)), lr=0.02, critic_lr=0.05, gamma=0.0, epochs=2, minibatches=1, max_grad_norm=0.5,
@@ -276,21 +277,6 @@ def test_a_critic_may_see_the_other_teams(experience, same):
         sound = ~batch.void.flatten()
         torch.testing.assert_close(critique.predictions[sound], network(torch.cat(seen, -1))[~batch.void])
     assert np.isfinite(list(figures.values())).all()
-
-
-def with_sides(batch: Batch, sides: int, size: int = 7, seed: int = 12) -> Batch:
-    """The batch with what a critic sees from the team's own side and others; those end and break elsewhere."""
-    rng = torch.Generator().manual_seed(seed)
-    shape = batch.rewards.shape
-
-    def side(number: int) -> Side:
-        seen, then = (torch.randn((*shape, size), generator=rng) for _ in range(2))
-        if number == 0:
-            return Side(seen, then, batch.rewards, batch.terminated, batch.void)
-        ends, broken = (torch.rand(shape, generator=rng) < 0.1 for _ in range(2))
-        return Side(seen, then, torch.randn(shape, generator=rng) - 1.0, ends, broken)
-
-    return batch._replace(sides=[side(number) for number in range(sides)])
 
 
 @pytest.mark.parametrize(("critic_input", "sides"), [("privileged", 1), ("same", 3)])

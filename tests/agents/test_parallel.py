@@ -9,28 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch.utils import _pytree as pytree
 
 from agents import parallel
 from agents.batch import Batch
 from agents.errors import Diverged
 from agents.happo import Learner, compare
-from agents.settings import Architecture, HappoConfig
+from agents.settings import HappoConfig
+from tests.agents import variants
+from tests.agents.variants import SIDES, SIGHT, with_sides
 
 RANKS = 2
-BASE = HappoConfig(
-    Architecture((6,)), lr=0.01, critic_lr=0.02, epochs=3, minibatches=1, normalise_observations=True, max_grad_norm=0.5
-)
-VARIANTS = {
-    "happo": {},
-    "mappo": {"method": "mappo"},
-    "ippo": {"method": "ippo"},
-    "hatrpo": {"method": "hatrpo"},
-    "shared": {"share_actors": True},
-    "kl_stop": {"kl_stop": 0.02},
-    "kl_step": {"kl_step": 0.01},
-    "decay": {"decay_steps": 400},
-    "plain": {"value_norm": False, "normalise_observations": False, "fixed_order": True},
-}
+BASE = replace(variants.BASE, minibatches=1)
+VARIANTS = variants.VARIANTS | {
+    "plain": {"value_norm": False, "normalise_observations": False, "fixed_order": True}
+}  # fmt: skip
 SPLIT = {f"split-{method}": {"method": method, "minibatches": 3} for method in ("happo", "ippo")}
 T, N = 8, 12  # of the whole batch
 
@@ -43,7 +36,7 @@ class Case:
     batches: list[Batch]
 
     def learner(self, together: parallel.Together = parallel.ALONE) -> Learner:
-        return Learner([4, 4], [2, 2], self.config, seed=3, together=together)
+        return Learner([4, 4], [2, 2], self.config, seed=3, sight=SIGHT, together=together)
 
     def part(self, rank: int) -> "Case":
         width = N // RANKS
@@ -61,7 +54,8 @@ class Case:
 
 
 def part(batch: Batch, worlds: slice) -> Batch:
-    return Batch(*(x[:, worlds] if isinstance(x, torch.Tensor) else [each[:, worlds] for each in x] for x in batch))
+    cut = pytree.tree_map(lambda x: x[:, worlds], batch._replace(recalled=()))
+    return cut._replace(recalled=[memory[worlds] for memory in batch.recalled])
 
 
 def rank_main(rank: int, port: int, folder: Path) -> None:
@@ -93,7 +87,8 @@ def uneven(learner: Learner, experience: Callable[..., Batch], seed: int, void: 
     chance = torch.rand((T, N), generator=rng)
     alive = [torch.rand((T, N), generator=rng) < torch.where(late, 0.95, 0.3 + 0.3 * i) for i in range(2)]
     gone = [a.roll(-1, 0) & a for a in alive]
-    return batch._replace(alive=alive, next_alive=gone, void=chance < torch.where(late, void, 0.05))
+    batch = batch._replace(alive=alive, next_alive=gone, void=chance < torch.where(late, void, 0.05))
+    return with_sides(batch, SIDES.get(learner.config.critic_input, 0), seed=seed)
 
 
 @pytest.fixture(scope="module")

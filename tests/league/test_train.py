@@ -127,11 +127,12 @@ def test_variants_of_the_learner_go_on_in_another_process(store, arena):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sees", "size"), [("privileged", 68), ("same", 42)])
-def test_critics_that_see_more_go_on_in_another_process_to_the_same_bytes(store, arena, tmp_path, sees, size):
+@pytest.mark.parametrize(("sees", "size", "units"), [("privileged", 68, 0), ("same", 42, 0), ("privileged", 68, 5)])
+def test_critics_that_see_more_go_on_in_another_process_to_the_same_bytes(store, arena, tmp_path, sees, size, units):
     """Also with past opponents for each, and one that rests: what a critic knows is in its player's checkpoint."""
     config = settings(Schedule("leapfrog", period=1), opponents=Opponents("uniform", past=0.5, groups=2))
-    config = replace(config, learner=replace(config.learner, critic_input=sees))
+    architecture = replace(config.learner.architecture, recurrent=units)
+    config = replace(config, learner=replace(config.learner, critic_input=sees, chunk=4, architecture=architecture))
     turns(store, config, arena, 2)
     trainer = turns(store, config, arena, 2)  # as after a kill
     assert trainer.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (size,)
