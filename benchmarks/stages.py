@@ -75,6 +75,18 @@ STAGES = {
     "galaga-aim": Stage("galaga-aim-1v1", "5m", 0.9),
     "galaga-fly": Stage("galaga-fly-1v1", "5m", 0.9),
     "galaga-leapfrog": Stage("galaga-1v1", "15m", 0.92, ("galaga-aim", "galaga-fly"), MATCH | TURNS, "initial"),
+    "galaga-aim-2v2": Stage("galaga-aim-2v2", "5m", 0.9),
+    "galaga-fly-2v2": Stage("galaga-fly-2v2", "5m", 0.9),
+    "galaga-2v2-leapfrog": Stage(
+        "galaga-2v2", "15m", 0.92, ("galaga-aim-2v2", "galaga-fly-2v2"), MATCH | TURNS, "initial"
+    ),
+    "soccer-walk": Stage("soccer-walk", "10m", 0.9),
+    "soccer-ball": Stage("soccer-ball", "10m", 0.9, ("soccer-walk",), PUSH),
+    "soccer-score": Stage("soccer-score", "15m", 0.7, ("soccer-ball",), PUSH),
+    "soccer-score-leatherback": Stage("soccer-score-leatherback", "15m", 0.7, (), PUSH),
+    "soccer-leapfrog": Stage(
+        "soccer-1v1", "30m", 0.74, ("soccer-score", "soccer-score-leatherback"), MATCH | TURNS, "initial"
+    ),
 }
 
 
