@@ -28,6 +28,12 @@ def commit() -> str:
     return head.stdout.strip() or "unknown"
 
 
+def own_and_further(argv: list[str]) -> tuple[list[str], list[str]]:
+    """A benchmark's arguments, and those after `--`, which argparse loses where other positional ones come first."""
+    at = argv.index("--") if "--" in argv else len(argv)
+    return argv[:at], argv[at + 1 :]
+
+
 def spread(values: list[float] | np.ndarray, digits: int = 3) -> dict:
     """Median, smallest and largest of repetitions."""
     return {name: round(float(f(values)), digits) for name, f in (("median", np.median), ("min", min), ("max", max))}

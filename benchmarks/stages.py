@@ -8,7 +8,8 @@ Trains by `league run` with nothing else on the GPU, each seed in a store of its
 finds their leagues in the same store, or, by `--after`, policies that come with the league. Then every snapshot plays
 `--episodes` fresh episodes: alone, against `idle`, or in a match against the other side's initial snapshot, the one
 that leaves the curriculum. A snapshot has succeeded where the lower end of its 95 % interval is above what the stage
-asks. The same command goes on where it was stopped.
+asks. The same command goes on where it was stopped; what follows `--` are
+further flags of `league run`.
 """
 
 import argparse
@@ -29,7 +30,7 @@ from league.environment import prepare  # noqa: E402
 prepare()  # before jax reads the environment
 
 from benchmarks.episodes import Pair, bare, rate, score  # noqa: E402
-from benchmarks.record import commit, machine  # noqa: E402
+from benchmarks.record import commit, machine, own_and_further  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
 from league.standing import Standing  # noqa: E402
 from league.versions import versions  # noqa: E402
@@ -103,8 +104,8 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=512, help="for each snapshot; 0: train only")
     parser.add_argument("--batch", type=int, default=8192, help="of them at once")
     parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
-    parser.add_argument("flags", nargs="*", help="further flags of `league run`, after --")
-    args = parser.parse_args()
+    own, further = own_and_further(sys.argv[1:])
+    args = parser.parse_args(own, argparse.Namespace(flags=further))
     result = {
         "command": " ".join(["python", *sys.argv]), "commit": args.commit or commit(), "machine": machine(),
         "versions": versions(), "asked": STAGES[args.stage].asked, "seeds": [],
