@@ -81,12 +81,38 @@ def _buffers(norm: str, flags: Flags) -> dict[str, Flags]:
     return {f"{norm}-{size}": {"arena.buffer": str(size), "training.worlds": "4096", **flags} for size in (0, 50, 100)}
 
 
+SUCCESS = {"training.shaping-until": "0.9"}  # hints fade by success; else over 50 million steps
+STRONG = {"arena.reward.approach": "1", "arena.reward.push": "4"}  # hints; else 0.5 and 1
+LONG = {"learner.gamma": "0.997"}  # 7 s; else 0.99, 2 s
+SCORE = WALK | {"learner.normalise-observations": "true", "training.worlds": "4096"}
+
+
+def _hints(**more: Flags) -> dict[str, Flags]:
+    steps = {"training.shaping-steps": "50000000"}
+    return {
+        "steps": steps, "success": SUCCESS, "strong": SUCCESS | STRONG, "long": SUCCESS | LONG,
+        "strong-long": SUCCESS | STRONG | LONG, **more,
+    }  # fmt: skip
+
+
 LAYER_NORM = {"learner.architecture.layer-norm": "true"}
 ABLATIONS = {
     "buffer": Ablation(
         "anymal-walk", 40_000_000,
         _buffers("layer-norm", LAYER_NORM) | _buffers("statistics", {"learner.normalise-observations": "true"}),
         WALK, {"score": (0.5, 0.9), "reward": (0.0, 5.0)},
+    ),
+    "score-anymal": Ablation(
+        "soccer-score", 40_000_000,
+        _hints(
+            brave=SUCCESS | STRONG | LONG | {"arena.reward.fall": "-0.5"},
+            gentle=SUCCESS | STRONG | LONG | {"learner.lr": "3e-4"},
+        ),
+        SCORE | {"after": "anymal-ball"}, {"score": (0.1, 0.7)},
+    ),
+    "score-leatherback": Ablation(
+        "soccer-score-leatherback", 60_000_000,
+        _hints(restless=SUCCESS | STRONG | LONG | {"arena.reward.near": "0"}), SCORE, {"score": (0.1, 0.7)},
     ),
     "critics": Ablation(
         "sumo-by-team", 40_000_000,
@@ -255,9 +281,11 @@ def brought(folder: Path, source: Path, variant: str, seed: int) -> dict[str, tu
 def of_variants(table: list[dict], whose: Mapping[str, tuple[str, str, str]]) -> dict[str, dict]:
     """The mean score of each variant against each other, by its roster, over all pairs of seeds, and its spread."""
     found: dict[str, list[float]] = {}
+    alike = len({roster for *_, roster in whose.values()}) == 1
     for row in table:
         for a, b, value in ((row["a"], row["b"], row["score"]), (row["b"], row["a"], 1 - row["score"])):
-            found.setdefault(f"{whose[a][0]} ({whose[a][2]}) against {whose[b][0]}", []).append(value)
+            who = whose[a][0] if alike else f"{whose[a][0]} ({whose[a][2]})"
+            found.setdefault(f"{who} against {whose[b][0]}", []).append(value)
     return {name: {**spread(values), "mean": round(float(np.mean(values)), 4), "pairs": len(values)}
             for name, values in sorted(found.items())}  # fmt: skip
 

@@ -26,6 +26,11 @@ class SoccerWalkSettings(WalkSettings):
     name: str = "soccer-walk"
     """The arena's name."""
 
+    @property
+    def timing(self) -> Timing:
+        """HARL-A's 50 Hz, and soccer's steps of physics."""
+        return timing(self.rules.episode)
+
     def outline(self) -> Outline:
         """The walk in a line."""
         return replace(super().outline(), teams={"blue": (seat("anymal", 0, self.buffer),)}, page="soccer")

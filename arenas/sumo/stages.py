@@ -12,7 +12,7 @@ from arenas.about import Outline, Seat
 from arenas.options import Timing, Where
 from arenas.randomisation import Randomisation
 from arenas.sumo.layouts import size
-from arenas.sumo.settings import KINDS, OVERLAPPING, lattice_ring
+from arenas.sumo.settings import CONTROL, KINDS, OVERLAPPING, TIMESTEP, lattice_ring
 
 if TYPE_CHECKING:
     from arenas.sumo.block import BlockPush
@@ -228,7 +228,7 @@ class BlockPushSettings:
 
 
 def _timing(episode: float) -> Timing:
-    return Timing(0.005, 4, 1, episode)
+    return Timing(TIMESTEP, round(CONTROL / TIMESTEP), 1, episode)
 
 
 def _seat(kind: str, buffer: int) -> Seat:

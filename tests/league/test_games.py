@@ -8,7 +8,7 @@ from tests.league.conftest import ROOT, call
 SMALL = (
     "--league", "small", "--training.worlds", "32", "--training.rollout", "16", "--rating.worlds", "16",
     "--rating.pairings", "2", "--rating.quota", "8", "--rating.final-quota", "8", "--rating.milestones", "1s",
-    "--steps", "1500", "--budget.rate", "60s",
+    "--steps", "1500", "--budget.rate", "5m",  # it ends when all have met
 )  # fmt: skip
 RACE = f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race"
 SOLO = f"{ROOT / 'tests' / 'arenas' / 'solo.py'}:solo"
