@@ -69,7 +69,7 @@ class Learner:
         self.device = torch.device(device)
         self.rng = torch.Generator().manual_seed(seed)  # part of the state; `dice` have a fresh seed of it each update
         self.dice = torch.Generator(self.device)
-        self.graphs = Graphs(self.device, c.graphs and together.size == 1)  # no graph holds what ranks tell each other
+        self.graphs = Graphs(self.device, c.graphs and together.recordable)
         n, arch = len(observation_sizes), c.architecture
         equal = list(zip(kinds or [""] * n, observation_sizes, action_sizes, strict=True))
         self.leaders = [equal.index(e) if c.share_actors else i for i, e in enumerate(equal)]
@@ -85,7 +85,9 @@ class Learner:
         kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
         self.actor_learners = [kind(a, agents, c, together) for a, agents in zip(actors, led.values(), strict=True)]
         of_critics = enumerate(zip(critics, circles, strict=True))
-        self.critic_learners = [CriticLearner(critic, circle, c, k, together) for k, (critic, circle) in of_critics]
+        self.critic_learners = [
+            CriticLearner(critic, circle, c, k, together.lane()) for k, (critic, circle) in of_critics
+        ]
         self.remembered: Sequence[Tensor] = ()
         # Of each actor, then of each critic:
         self.observation_counts = torch.zeros(len(actors) + len(critics), device=self.device)

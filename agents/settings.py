@@ -113,8 +113,8 @@ class HappoConfig:
     fixed_order: bool = False
     """Update the agents in the team's order instead of a fresh random one each time (HARL-A: true)."""
     graphs: bool = True
-    """On a GPU, replay the update as CUDA graphs instead of launching every kernel by itself. Not with several
-    `training.devices`: no graph holds what they tell each other."""
+    """On a GPU, replay the update as CUDA graphs instead of launching every kernel by itself; with several
+    `training.devices` where messages between them can be recorded, which is tried."""
     precision: Precision = "float32"
     """Of matrix products while learning: float32; tf32 (10 bits instead of 23; on a CPU the same as float32); bf16 (7
     bits, where losses are computed). Weights, moments, densities, advantages and sums are float32 always."""
