@@ -153,7 +153,7 @@ def ratings_table(
         of = {roster: [row for row in rows if row["roster"] == roster] for roster in sides}
         parts = [_title(ladder), *(render(of[roster], columns, title=f"{side_text(roster)}:") for roster in sides)]
     notes = [*_notes(ladder, rows, void_limit), *_between(ladder, frozen, sides)]
-    return "\n\n".join([*parts, *(["\n".join(map(_wrapped, notes))] if notes else [])])
+    return "\n\n".join([*parts, *(["\n".join(map(wrapped, notes))] if notes else [])])
 
 
 def clock(seconds: float) -> str:
@@ -248,7 +248,7 @@ def _newest(
     if format != "table" or len(shown) == len(rows):
         return text
     more = f"league {command} {shlex.join([*_without(args, '--last'), '--last', str(4 * last)])}"
-    return f"{text}\n\n" + _wrapped(
+    return f"{text}\n\n" + wrapped(
         f"The newest {len(shown):,} of {len(rows):,}; `{more}` shows more, --all everything."
     )
 
@@ -264,5 +264,6 @@ def _without(args: Sequence[str], flag: str) -> list[str]:
     return kept
 
 
-def _wrapped(text: str) -> str:
+def wrapped(text: str) -> str:
+    """A paragraph, broken into lines of the terminal's width."""
     return textwrap.fill(text, shutil.get_terminal_size().columns)
