@@ -139,11 +139,11 @@ def fit(
     Args:
         payoff: who beat whom.
         prior: see matchmaking.priors; a number is that of virtual games with the `opponents`, 0 is no prior.
-        anchors: names of snapshots whose mean is put at `anchor_elo`; all snapshots if empty.
+        anchors: names of snapshots whose mean is put at `anchor_elo`; all that have played if empty.
         anchor_elo: where the scale is pinned.
         populations: snapshot -> what it is of, where those of one never meet each other, so that strength is compared
-            within each and between them only together with the arena's tilt. Each has the anchors that are of it, or
-            all of its snapshots if none is, at `anchor_elo`.
+            within each and between them only together with the arena's tilt. Each has the anchors that are of it at
+            `anchor_elo`, or all of its snapshots that have played if none is.
         confidence: of the intervals, between 0 and 1.
         sides: whether there is a side advantage to fit.
         clusters: games that share a start; the payoff's seed pairs if None.
@@ -195,8 +195,10 @@ def _gauge(
     own = population == np.arange(len(labels))[:, None]
     pinned = np.zeros(len(payoff.names), bool)
     pinned[[payoff.index(name) for name in anchors]] = True
-    chosen = np.where((own & pinned).any(1, keepdims=True), own & pinned, own).astype(float)
-    return labels, population, chosen / np.maximum(chosen.sum(1, keepdims=True), 1)
+    played = payoff.games.any(1)
+    for fitting in (own & played, own & pinned):  # the last that has somebody of a population counts
+        own = np.where(fitting.any(1, keepdims=True), fitting, own)
+    return labels, population, own / np.maximum(own.sum(1, keepdims=True), 1)
 
 
 def _covariance(
