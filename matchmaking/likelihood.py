@@ -104,9 +104,8 @@ class Likelihood:
         strength, mixed = n * terms.score_variance, n * terms.covariance
         virtual = prior.games * even_variance(self._virtual(x))
         H = np.zeros((P + 2, P + 2))
-        square = np.bincount(self.home * P + self.away, strength, P * P)
-        square += np.bincount(prior.first * P + prior.second, virtual, P * P)
-        H[:P, :P] = square.reshape(P, P)
+        for first, second, weight in ((self.home, self.away, strength), (prior.first, prior.second, virtual)):
+            H[:P, :P] += np.bincount(first * P + second, weight, P * P).reshape(P, P)
         H[:P, :P] += H[:P, :P].T.copy()
         diagonal = H[:P, :P].sum(1)
         H[:P, :P] *= -1

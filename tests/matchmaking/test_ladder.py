@@ -143,6 +143,12 @@ def test_a_new_snapshot_is_as_strong_as_its_parent_until_games_say_otherwise(mat
     assert fell[2] < elo["b"] < fell[0]
 
 
+def test_a_lineage_that_has_not_played_is_level():
+    ladder = Ladder(Pool(("a", "b", "c"), ("a",), {"b": "a", "c": "b"}))
+    assert ladder.ratings.elo == pytest.approx([1000, 1000, 1000])
+    assert not ladder.known("c")
+
+
 def test_a_pool_is_what_a_league_says_of_its_snapshots():
     def snapshot(name, roster, **given):
         return Snapshot("cup", name, name, roster, **given)
