@@ -63,7 +63,9 @@ def filled(folder: Path, policies: int, matches: list[Match]) -> None:
     """A store with that log."""
     with Store.open(folder, create=True) as store:
         store.create_league(League("bench", "[rating]\nvoid_limit = 0.05\n"))
-        store.add_players([Player("bench", player, team, "main", "rover") for team, player in enumerate(("blue", "red"))])
+        store.add_players(
+            [Player("bench", player, team, "main", "rover") for team, player in enumerate(("blue", "red"))]
+        )
         store.start_run("bench", "", "here", {})
         blob = store.blobs.put(b"policy")
         store.add_snapshots([
