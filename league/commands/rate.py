@@ -105,5 +105,6 @@ def _notes(ratings: Ratings, log: results.Log, options: RateOptions) -> list[str
         share = 100 * ratings.draw / (2 + ratings.draw)
         notes.append(f"Between equals {share:.1f} % of the games are drawn (Davidson's ν {ratings.draw:.3g}).")
     if clustered := int(log.clusters.number.sum()):
-        notes.append(f"The games of each of {clustered:,} seed pairs count together in the intervals.")
+        pairs = f"{clustered:,} seed pairs" if clustered > 1 else "one seed pair"
+        notes.append(f"The games of {pairs} count pair by pair in the intervals.")
     return notes
