@@ -17,8 +17,8 @@ from storage.records import ArenaKey, Match, PairCounts
 
 COLUMNS = ("arena", "side_a", "side_b", "wins_a", "draws", "wins_b")
 SEED_PAIR = "seed_pair"
-LARGEST = 10**12
-"""Games in one row: more are a slip, and sums of them would no longer be exact."""
+LARGEST = 10**9
+"""Games in one row: more are a slip."""
 
 
 class Result(NamedTuple):

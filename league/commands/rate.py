@@ -12,6 +12,7 @@ from league.commands.tables import wrapped
 from league.config.schema import ConfigError
 from matchmaking import priors
 from matchmaking.bounds import Unbounded
+from matchmaking.likelihood import NotConverged
 from matchmaking.ratings import Ratings, fit
 
 PRIOR = 4.0
@@ -51,6 +52,10 @@ def rate(args: list[str]) -> int:
     except Unbounded as error:
         raise ConfigError(
             ("prior",), f"{source}: {error}; that has no finite rating without a prior: give --prior above 0"
+        ) from error
+    except NotConverged as error:  # billions of games beside a handful are more than floating-point numbers resolve
+        raise ConfigError(
+            ("prior",), f"{source}: counts are too unlike for the fit to converge: give a larger --prior"
         ) from error
     print(_told(ratings, log, options))
     return 0

@@ -137,6 +137,21 @@ def test_games_of_a_seed_pair_count_as_one_in_the_intervals(rated):
     assert error(one_fate) == pytest.approx(math.sqrt(2) * error(one_fate, ignored), rel=0.01)
 
 
+def test_a_seed_pair_may_be_of_any_size_and_belongs_to_two_players(rated):
+    def error(rows):
+        told = rated(rows, "--prior", "0", "--anchor", "b", head=f"{HEAD},seed_pair")
+        return next(row["elo_stderr"] for row in told["ratings"] if row["name"] == "a")
+
+    # Blocks of eight games that all end alike say as much as one game each.
+    blocks = [f"x,a,b,{8 * (i % 2)},0,{8 * (1 - i % 2)},{i}" for i in range(200)]
+    assert error(blocks) == pytest.approx(
+        math.sqrt(8) * error([row.rpartition(",")[0] + "," for row in blocks]), rel=0.01
+    )
+    # The same word between others is another pair; one game alone is none.
+    lone = [f"x,a,{name},{i % 2},0,{(i + 1) % 2},{i}" for i in range(100) for name in "bc"]
+    assert error(lone) == pytest.approx(error([row.rpartition(",")[0] + "," for row in lone]))
+
+
 def test_several_arenas_are_rated_one_at_a_time(rate, rated):
     rows = ["pit,a,b,3,0,1", "ring,a,b,1,0,3"]
     assert elo(rated(rows, "--arena", "pit"))["a"] > 0 > elo(rated(rows, "--arena", "ring"))["a"]
