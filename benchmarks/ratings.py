@@ -1,81 +1,142 @@
-"""How long a query of the ratings takes: rows of matches to Elo with intervals. Prints JSON.
+"""How long ratings take: the fit of a log, and `league ratings` from a cold start. Prints JSON.
 
-python benchmarks/ratings.py --policies 200 --games 800000
+python benchmarks/ratings.py [--repeats 5] [--out benchmarks/results/ratings-cpu.json]
+
+Logs are simulated: batches of 64 games, half of them with sides swapped, between random policies of known strength. A
+fit is timed from the summed log, as the daemon has it; a query from the start of the process to its end. Beside wall
+time stands processor time, of all threads: on a machine with other work it tells more.
 """
 
 import argparse
 import json
 import os
-import platform
+import resource
+import subprocess
+import sys
+import tempfile
 import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
+from league import environment
 
-from matchmaking.payoff import tally
-from matchmaking.ratings import davidson, fit
-from storage.records import ArenaKey, Match, PairCounts
+environment.prepare()  # as every command does, before NumPy is loaded: one BLAS thread
+
+import numpy as np  # noqa: E402
+from record import commit, machine, spread  # noqa: E402
+
+from matchmaking.payoff import tally  # noqa: E402
+from matchmaking.ratings import ELO, davidson, fit  # noqa: E402
+from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot  # noqa: E402
+from storage.store import Store  # noqa: E402
+
+FITS = {(200, 800_000): 0.1, (1000, 800_000): 1.0}  # policies and games -> seconds asked
+QUERIES = {(200, 1_000_000): 0.7, (1000, 1_000_000): 1.5}
+BATCH = 64
+KEY = ArenaKey("sumo", "0", "c")
 
 
-def simulate(policies: int, rows: int, episodes: int, rng: np.random.Generator) -> tuple[list[Match], np.ndarray]:
-    """Rows of `episodes` games, half of them with sides swapped, between random policies of known strength."""
+def name(policy: int) -> str:
+    """Two lineages that take turns."""
+    return f"{('blue', 'red')[policy % 2]}@{policy // 2}"
+
+
+def simulate(policies: int, games: int, rng: np.random.Generator) -> tuple[list[Match], dict[str, float]]:
+    """The rows of a log, and how strong everybody is in log odds."""
     theta = rng.normal(0, 1.5, policies)
     matches = []
-    for row in range(rows):
+    for row in range(games // BATCH):
         a, b = rng.choice(policies, 2, replace=False)
-        outcome = [davidson(np.array(sign * (theta[a] - theta[b]) + 0.2), np.log(0.5)) for sign in (1, -1)]
-        first, second = (rng.choice([2, 1, 0], episodes // 2, p=np.exp(o.log_likelihood)) for o in outcome)
-        first_counts, second_counts = np.bincount(first, minlength=3), np.bincount(2 - second, minlength=3)
-        losses, draws, wins = (int(n) for n in first_counts + second_counts)
-        side = [int(n) for n in first_counts[::-1]]
+        told = [davidson(np.array(sign * (theta[a] - theta[b]) + 0.2), np.log(0.5)) for sign in (1, -1)]
+        first, second = (rng.choice([2, 1, 0], BATCH // 2, p=np.exp(o.log_likelihood)) for o in told)
+        home, away = np.bincount(first, minlength=3), np.bincount(2 - second, minlength=3)
+        losses, draws, wins = (int(n) for n in home + away)
         pairs = PairCounts(*(int(n) for n in np.bincount(first + 2 - second, minlength=5)))
-        key = ArenaKey("sumo", "0", "c")
-        names = f"{a:064d}", f"{b:064d}"
-        matches.append(
-            Match("bench", key, *names, wins, draws, losses, 0, side[0], side[1], side[2], pairs, seed=row, id=row)
+        side = [int(n) for n in home[::-1]]
+        names = name(int(a)), name(int(b))
+        matches.append(Match("bench", KEY, *names, wins, draws, losses, 0, *side, pairs, seed=row, id=row))
+    return matches, {name(i): float(x) for i, x in enumerate(theta)}
+
+
+def filled(folder: Path, policies: int, matches: list[Match]) -> None:
+    """A store with that log."""
+    with Store.open(folder, create=True) as store:
+        store.create_league(League("bench", "[rating]\nvoid_limit = 0.05\n"))
+        store.add_players(
+            [Player("bench", player, team, "main", "rover") for team, player in enumerate(("blue", "red"))]
         )
-    return matches, theta
+        store.start_run("bench", "", "here", {})
+        blob = store.blobs.put(b"policy")
+        store.add_snapshots([
+            Snapshot("bench", name(i), blob, "rover", name(i).partition("@")[0], initial=i < 2, iteration=i // 2,
+                     parent=name(i - 2) if i > 1 else None)
+            for i in range(policies)
+        ])  # fmt: skip
+        store.queue([Job("bench", "any", "all")])
+        claimed = store.claim("bench", ["any"], "here:1:0", 600)
+        assert claimed is not None
+        store.finish(claimed[0], matches=matches)
 
 
-def seconds(work, repeats: int = 5) -> float:
-    """Median wall-clock seconds of `work()`."""
-    times = []
+def timed(work: Callable[[], object], repeats: int, of: int) -> dict:
+    """Wall and processor seconds of `work()`; `of` is whose: this process or its children."""
+    walls, processors = [], []
     for _ in range(repeats):
-        start = time.perf_counter()
+        before, start = resource.getrusage(of), time.perf_counter()
         work()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
+        walls.append(time.perf_counter() - start)
+        after = resource.getrusage(of)
+        processors.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return {"seconds": spread(walls), "processor_seconds": spread(processors)}
+
+
+def fitted(policies: int, games: int, asked: float, repeats: int) -> dict:
+    matches, theta = simulate(policies, games, np.random.default_rng(0))
+    payoff = tally(matches)
+    ratings = fit(payoff)
+    truth = ELO * np.array([theta[each] for each in ratings.names])
+    truth += ratings.elo.mean() - truth.mean()
+    return {
+        "policies": policies, "games": games, "pairs_that_met": len(payoff.first), "asked_seconds": asked,
+        **timed(lambda: fit(payoff), repeats, resource.RUSAGE_SELF),
+        "tally": timed(lambda: tally(matches), repeats, resource.RUSAGE_SELF),
+        "covered_by_95%": round(float(((ratings.low < truth) & (truth < ratings.high)).mean()), 3),
+    }  # fmt: skip
+
+
+def queried(policies: int, games: int, asked: float, repeats: int) -> dict:
+    matches, _ = simulate(policies, games, np.random.default_rng(1))
+    with tempfile.TemporaryDirectory() as folder:
+        filled(Path(folder, "store"), policies, [replace(m, id=0) for m in matches])
+        command = [sys.executable, "-m", "league", "ratings", "--store", str(Path(folder, "store"))]
+
+        def ask() -> None:
+            subprocess.run(command, check=True, capture_output=True, env={**os.environ, "COLUMNS": "120"})
+
+        ask()  # byte code is compiled once
+        took = timed(ask, repeats, resource.RUSAGE_CHILDREN)
+    return {"snapshots": policies, "games": games, "match_rows": len(matches), "asked_seconds": asked, **took}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--policies", type=int, default=200)
-    parser.add_argument("--games", type=int, default=800_000)
-    parser.add_argument("--episodes", type=int, default=64, help="games per row")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    rows = args.games // args.episodes
-    matches, theta = simulate(args.policies, rows, args.episodes, np.random.default_rng(0))
-    payoff = tally(matches)
-    ratings = fit(payoff)
-    truth = 1000 + 400 / np.log(10) * (theta - theta.mean())
-    truth = truth[[int(name) for name in ratings.names]] + ratings.elo.mean() - truth.mean()
-    print(
-        json.dumps(
-            {
-                "machine": f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores",
-                "numpy": np.__version__,
-                "policies": args.policies,
-                "games": rows * args.episodes,
-                "rows": rows,
-                "pairs_that_met": len(payoff.first),
-                "tally_s": round(seconds(lambda: tally(matches)), 4),
-                "fit_s": round(seconds(lambda: fit(payoff)), 4),
-                "covered_by_95%": round(float(((ratings.low < truth) & (truth < ratings.high)).mean()), 3),
-                "side_advantage_elo": round(ratings.side_advantage, 1),
-                "draw": round(ratings.draw, 3),
-            },
-            indent=2,
-        )
-    )
+    told = {
+        "benchmark": "ratings",
+        "machine": machine(),
+        "load_average_at_start": round(os.getloadavg()[0], 1),
+        "numpy": np.__version__,
+        "commit": commit(),
+        "fit": [fitted(*size, asked, args.repeats) for size, asked in FITS.items()],
+        "league ratings": [queried(*size, asked, args.repeats) for size, asked in QUERIES.items()],
+    }
+    text = json.dumps(told, indent=2)
+    print(text)
+    if args.out:
+        args.out.write_text(text + "\n")
 
 
 if __name__ == "__main__":

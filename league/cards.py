@@ -65,7 +65,7 @@ def _rated(league: Open, ladder: Ladder, snapshot: Snapshot) -> Iterator[str]:
     elo = f"{row['elo']:.0f} Elo (95 %: {row['low']:.0f} to {row['high']:.0f})"
     elo = elo if row["known"] else f"Not yet known (an interval wider than {UNKNOWN:.0f} Elo)"
     anchor = f"the mean of the initial snapshots is {ANCHOR_ELO:.0f}"
-    yield f"{elo} after {row['episodes']:,} episodes; {anchor}.{voids}"
+    yield f"{elo} after {row['games']:,} episodes; {anchor}.{voids}"
     scores = [
         (title, score_text(score))
         for title, other in _fixed(league, snapshot)

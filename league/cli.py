@@ -17,6 +17,7 @@ COMMANDS = {
     "status": ("league.commands.status", "what runs, who learns, which jobs wait or were set aside"),
     "init": ("league.commands.init", "write a commented league.toml"),
     "ratings": ("league.commands.tables", "the ratings table"),
+    "rate": ("league.commands.rate", "ratings of a match log of your own, from a CSV file"),
     "matches": ("league.commands.tables", "the match log"),
     "snapshots": ("league.commands.tables", "the frozen policies"),
     "curves": ("league.commands.tables", "how learning went, iteration by iteration"),

@@ -21,7 +21,8 @@ from safetensors.numpy import save
 
 from agents.settings import ACTIVATIONS
 from league.config.schema import ConfigError
-from league.query import Open, Row, rating_rows
+from league.query import Open
+from league.rated import Row, rating_rows
 from matchmaking.ladder import Ladder
 from storage import arrays
 from storage.archive import shortened
@@ -100,10 +101,10 @@ def rating_row(league: Open, ladder: Ladder, snapshot: Snapshot) -> Row:
 def _rating(league: Open, snapshot: Snapshot) -> dict[str, Any] | None:
     for ladder in ladders(league, snapshot)[:1]:
         row = rating_row(league, ladder, snapshot)
-        kept = (
-            ("success", "success_low", "success_high") if ladder.one_team else ("elo", "low", "high", "known", "score")
-        )
-        return {name: row[name] for name in (*ArenaKey._fields, "episodes", *kept)}
+        told = {name: row[name] for name in ArenaKey._fields} | {"episodes": row["games"]}
+        if ladder.one_team:
+            return told | {name: row[name] for name in ("success", "success_low", "success_high")}
+        return told | {name: row[name] for name in ("elo", "low", "high", "known")} | {"score": row["win_rate"]}
     return None
 
 

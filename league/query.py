@@ -5,14 +5,12 @@ Reads the store and nothing else: neither jax nor torch nor mujoco is loaded.
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Self, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 from league.course import at_work
-from league.measures import score_against_initial
-from matchmaking.ladder import Ladder
-from matchmaking.payoff import Score, score_interval
+from league.rated import VOID_LIMIT, Row, chosen, moment, rating_rows
+from matchmaking.ladder import Ladder, Pool
+from matchmaking.payoff import Score
 from storage.errors import StorageError, UnknownName
 from storage.records import ArenaKey, CurvePoint, Match, Player, Snapshot
 from storage.store import Store
@@ -20,10 +18,7 @@ from storage.store import Store
 if TYPE_CHECKING:
     import pandas as pd
 
-Row = dict[str, Any]
-R = TypeVar("R", int, float, str)
-VOID_LIMIT = 0.02
-"""Where a league's settings do not say (`rating.void_limit`) from which share on void episodes are suspect."""
+R = TypeVar("R", int, float, str, list)
 
 
 class Open:
@@ -40,21 +35,61 @@ class Open:
     def __exit__(self, *_: object) -> None:
         self.store.close()
 
-    def ratings(self, arena: str | None = None, engine: str | None = None) -> "pd.DataFrame":
-        """A row per snapshot, best first, on one ladder: name, player, iteration, elo, low, high, episodes, ...
+    def ratings(
+        self,
+        arena: str | None = None,
+        engine: str | None = None,
+        team: str | None = None,
+        role: str | None = None,
+        as_of: str | None = None,
+    ) -> "pd.DataFrame":
+        """A row per snapshot, best first, on one ladder: rank, player, name, role, elo, low, high, games, ...
 
-        The ladder is that of the newest rating matches, of those in `arena` and under `engine` if given. Elo is fitted
-        anew from all its matches; the mean of the players' initial snapshots is 1000. low and high bound 95 % for the
-        difference to that mean, and `known` is false where that is too wide to say anything. `score` is over all its
-        episodes, draws half; `vs_initial` as league.measures defines it. In an arena of one team there is a `success`
-        rate instead. `flagged` marks those whose void episodes exceed the league's `rating.void_limit`: "!" if by
-        their own robots, "?" if perhaps. Raises StorageError where there is no such ladder.
+        The ladder is that of the newest rating matches, of those in `arena` and under `engine` if given, as it stood at
+        the end of `as_of` (a date or time in ISO 8601, UTC); of its rows those of a `team` or a `role`, if given.
+
+        Elo is fitted anew from all its matches; the mean of the players' initial snapshots is 1000. low and high bound
+        95 % for the difference to that mean, and `known` is false where that is too wide to say anything; `rank` counts
+        those that are known. Where teams' rosters are unlike, Elo and rank are of a snapshot's own side, and `tilt` is
+        what to add to compare it with one of the other side; else it is 0. `games` were `wins`, `draws` and `losses`;
+        `voids` count for nobody. `win_rate` is over all its games, draws half; `vs_initial` alike, as league.measures
+        defines it: against its own initial snapshot where rosters are alike. In an arena of one team there is a
+        `success` rate instead. `flagged` marks those whose void episodes exceed the league's `rating.void_limit`: "!"
+        if by their own robots, "?" if perhaps.
+
+        Raises StorageError where there is no such ladder, UnknownName for a team or role that there is not, ValueError
+        for an `as_of` that is no date.
         """
         import pandas as pd
 
-        ladder = self.ladder(choose(self.ladders(), arena, engine))
-        frozen, players = self.store.snapshots(self.league), self.store.players(self.league)
-        return pd.DataFrame(rating_rows(ladder, frozen, players, self.void_limit()))
+        shown = self.shown(arena, engine, None if as_of is None else moment(as_of))
+        rows = rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
+        return pd.DataFrame(chosen(rows, shown.players, self.teams(), team, role))
+
+    def shown(
+        self, arena: str | None = None, engine: str | None = None, as_of: float | None = None, all: bool = False
+    ) -> "Shown":
+        """The ladder that fits, or all that do, as of a time on the database's clock. Raises StorageError for none."""
+        totals, players = self.store.totals(self.league, "rating", as_of), self.store.players(self.league)
+        snapshots = [s for s in self.store.snapshots(self.league) if as_of is None or s.created <= as_of]
+        pool, keys = Pool.of(snapshots, players), list(totals)
+        first = choose(keys, arena, engine)
+        wanted = [key for key in keys if arena in (None, key.arena) and engine in (None, key.engine)]
+        wanted = wanted if all else wanted[:1]
+        ladders = [Ladder(pool, totals[key]) for key in wanted] or [Ladder(pool)]
+        return Shown(first, ladders, [key for key in keys if key not in wanted], snapshots, players, self.void_limit())
+
+    def teams(self) -> dict[str, int]:
+        """The words for a team: its number, its players' names, and its name where the settings list players."""
+        found: dict[str, int] = {}
+        players = {p.name: p.team for p in self.store.players(self.league)}
+        seen = Counter[str]()
+        for entry in self.setting("players", otherwise=[]):
+            if team := str(entry.get("team", "")):
+                seen[team] += 1
+                name = entry.get("name") or (team if seen[team] == 1 else f"{team}-{seen[team]}")
+                found |= {team: players[name]} if name in players else {}
+        return found | players | {str(team): team for team in players.values()}
 
     def matches(self) -> "pd.DataFrame":
         """A row per batch of episodes: who met whom, wins, draws, losses and voids counted for a, seed, recording."""
@@ -86,13 +121,13 @@ class Open:
 
     def ladders(self) -> list[ArenaKey]:
         """The keys under which rating matches were played, those of the newest matches first."""
-        return ladders(self.store.matches(self.league, "rating"))
+        return list(self.store.totals(self.league, "rating"))
 
     def ladder(self, key: ArenaKey | None) -> Ladder:
         """The ladder of a key, with a place for every snapshot; an empty one for None."""
-        log = [m for m in self.store.matches(self.league, "rating") if m.arena == key]
-        snapshots = self.store.snapshots(self.league)
-        return Ladder([s.name for s in snapshots], log, [s.name for s in snapshots if s.initial])
+        pool = Pool.of(self.store.snapshots(self.league), self.store.players(self.league))
+        log = self.store.totals(self.league, "rating").get(key) if key is not None else None
+        return Ladder(pool, log or ())
 
     def void_limit(self) -> float:
         """The league's `rating.void_limit`, read without what a whole configuration needs, such as its arena's file."""
@@ -111,6 +146,17 @@ class Open:
             return otherwise
 
 
+class Shown(NamedTuple):
+    """Ladders of a league, and what their rows tell beside results."""
+
+    key: ArenaKey | None  # of the first; None where nothing was played
+    ladders: list[Ladder]
+    others: list[ArenaKey]  # of the ladders that are not shown
+    snapshots: list[Snapshot]
+    players: list[Player]
+    void_limit: float
+
+
 def only_league(store: Store) -> str:
     """The league a store is about when none is named: its only one, else the one that was run last."""
     leagues = store.leagues()
@@ -118,12 +164,6 @@ def only_league(store: Store) -> str:
         raise StorageError(f"{store.where} holds no league yet: `league run` makes one.")
     last_run = {league.name: max((run.id for run in store.runs(league.name)), default=0) for league in leagues}
     return max(leagues, key=lambda league: last_run[league.name]).name
-
-
-def ladders(matches: Iterable[Match]) -> list[ArenaKey]:
-    """The keys of a match log, those of the newest matches first."""
-    newest = {m.arena: m.id for m in matches}  # a later match replaces an earlier one
-    return sorted(newest, key=lambda key: -newest[key])
 
 
 def choose(keys: Sequence[ArenaKey], arena: str | None = None, engine: str | None = None) -> ArenaKey | None:
@@ -137,64 +177,6 @@ def choose(keys: Sequence[ArenaKey], arena: str | None = None, engine: str | Non
         there = ", ".join(dict.fromkeys(f"{key.arena} under {key.engine}" for key in keys)) or "none"
         raise StorageError(f"No rating match was played {asked}; there are: {there}.")
     return fitting[0] if fitting else None
-
-
-def rating_rows(
-    ladder: Ladder, snapshots: Sequence[Snapshot], players: Sequence[Player], void_limit: float = VOID_LIMIT
-) -> list[Row]:
-    """See Open.ratings. Those whose rating is not known come after the others, and those that never played last."""
-    rows = []
-    for s in snapshots:
-        i = ladder.ratings.index(s.name)
-        met, success, voids = bool(ladder.ratings.games[i]), ladder.success(s.name), ladder.void_rate(s.name)
-        initial = score_against_initial(ladder, s, snapshots, players)
-        rows.append({
-            "name": s.name, "player": s.player, "iteration": s.iteration if s.player else None,
-            "seconds": round(s.seconds, 1) if s.player else None,
-            "elo": float(ladder.ratings.elo[i]) if met else None,
-            "low": float(ladder.ratings.low[i]) if met else None,
-            "high": float(ladder.ratings.high[i]) if met else None, "known": ladder.known(s.name),
-            "episodes": int(ladder.ratings.games[i]) + success.games,
-            "score": float(ladder.ratings.score[i]) if met else None,
-            "vs_initial": initial.score if initial else None,
-            "vs_initial_low": initial.low if initial else None, "vs_initial_high": initial.high if initial else None,
-            "success": success.score if success.games else None,
-            "success_low": success.low if success.games else None,
-            "success_high": success.high if success.games else None,
-            "voids_own": voids.own, "voids_unclear": voids.unclear,
-            "flagged": "!" if voids.own > void_limit else "?" if voids.suspect > void_limit else "",
-            "digest": s.digest, "roster": s.roster,
-            **(ladder.arena or ArenaKey("", "", ""))._asdict(),
-        })  # fmt: skip
-    merit = "success" if ladder.one_team else "elo"
-
-    def place(row: Row) -> tuple:
-        unsure = not (row["known"] or ladder.one_team)
-        return row[merit] is None, unsure, -(row[merit] or 0.0), row["player"] or "", row["iteration"] or 0, row["name"]
-
-    return sorted(rows, key=place)
-
-
-def unlike_sides(players: Sequence[Player]) -> list[str]:
-    """The rosters of the teams in their order, where these are unlike; none where all are of one roster."""
-    rosters = list(dict.fromkeys(p.roster for p in sorted(players, key=lambda p: p.team)))
-    return rosters if len(rosters) > 1 else []
-
-
-def side_score(ladder: Ladder, snapshots: Iterable[Snapshot], one: str, other: str) -> Score:
-    """How one roster has scored against another in all their games: role and skill in one, of whoever has played."""
-    payoff, rosters = ladder.payoff, {s.name: s.roster for s in snapshots}
-    met = np.ix_(*([rosters.get(name) == roster for name in payoff.names] for roster in (one, other)))
-    wins, draws, losses = (int(counts[met].sum()) for counts in (payoff.wins, payoff.draws, payoff.losses))
-    low, high = score_interval(wins, draws, losses)
-    games = wins + draws + losses
-    return Score((wins + draws / 2) / games if games else float("nan"), float(low), float(high), games)
-
-
-def side_text(roster: str) -> str:
-    """A roster as people say it, e.g. `3 × predator`."""
-    counts = Counter(agent.partition(":")[0] for agent in roster.split("+"))
-    return " + ".join(f"{count} × {kind}" for kind, count in counts.items())
 
 
 def match_rows(matches: Iterable[Match]) -> list[Row]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
-from matchmaking.ladder import Ladder
+from matchmaking.ladder import Ladder, Pool
 from matchmaking.schedule import Schedule
 from storage.records import ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
 from storage.store import Store
@@ -56,14 +56,14 @@ class Standing:
         if before is not None and before.revision == revision and arena in (None, before.arena):
             return before
         jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
-        snapshots = store.snapshots(league)
+        players, snapshots = store.players(league), store.snapshots(league)
         before = before or cls()
         new = store.matches(league, "rating", after=before.read)
-        arena, ladder = _ladder(store, league, before, arena, snapshots, new)
+        arena, ladder = _ladder(store, league, before, arena, Pool.of(snapshots, players), new)
         read, played = (new[-1].id, new[-1].created) if new else (before.read, before.played)
         checkpoints = store.newest_checkpoints(league)
         return cls(
-            store.players(league), snapshots, checkpoints, store.phases(league),
+            players, snapshots, checkpoints, store.phases(league),
             sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
             _batches(before.batches, new), _rewards(store, checkpoints, recent), revision,
         )  # fmt: skip
@@ -124,14 +124,12 @@ def _batches(last: Batches | None, new: Sequence[Match]) -> Batches | None:
 
 
 def _ladder(
-    store: Store, league: str, before: Standing, arena: ArenaKey | None, snapshots: Sequence[Snapshot],
-    new: Sequence[Match],
+    store: Store, league: str, before: Standing, arena: ArenaKey | None, pool: Pool, new: Sequence[Match],
 ) -> tuple[ArenaKey | None, Ladder]:  # fmt: skip
     """The key and its ladder, with the matches that are `new` since before."""
-    names, anchors = [s.name for s in snapshots], [s.name for s in snapshots if s.initial]
     key = arena or (new[-1].arena if new else before.arena)
     log, known = new, before.ladder
     if key != before.arena and before.read:  # another ladder than before: from the start
         read = new[-1].id if new else before.read
         log, known = [m for m in store.matches(league, "rating") if m.id <= read], Ladder(())
-    return key, known.extended([m for m in log if m.arena == key], names, anchors)
+    return key, known.extended([m for m in log if m.arena == key], pool)

@@ -6,13 +6,17 @@ engines may be compared where the same pairs of snapshots have met under both fo
 those whose scores lie in each other's intervals they agree. Nothing here pools games of two keys.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
+
 from matchmaking.payoff import Payoff, Score, score_interval, tally
+from matchmaking.priors import parents
 from matchmaking.ratings import Ratings, fit
-from storage.records import ArenaKey, Match
+from storage.records import ArenaKey, Match, Player, Snapshot, Totals
 
 ANCHOR_ELO = 1000.0
 """Where the mean of the anchors stands."""
@@ -34,6 +38,31 @@ class VoidRate(NamedTuple):
         return self.own + self.unclear
 
 
+@dataclass(frozen=True)
+class Pool:
+    """Who stands on a ladder, and what is known of them beside their results."""
+
+    names: tuple[str, ...] = ()  # that shall have a place even if they have not played yet
+    anchors: tuple[str, ...] = ()  # whose mean is put at ANCHOR_ELO
+    parents: Mapping[str, str] = field(default_factory=dict)  # snapshot -> the one that it goes on from
+    populations: Mapping[str, str] = field(default_factory=dict)  # snapshot -> roster, where teams' rosters are unlike
+
+    @classmethod
+    def of(cls, snapshots: Iterable[Snapshot], players: Iterable[Player]) -> "Pool":
+        """That of a league. Its anchors are the initial snapshots.
+
+        Where the teams' rosters are unlike, those of one roster never meet: what one side is worth and how strong its
+        players are cannot be told apart, so each roster is a population with anchors of its own.
+        """
+        found = list(snapshots)
+        return cls(
+            tuple(s.name for s in found),
+            tuple(s.name for s in found if s.initial),
+            {s.name: s.parent for s in found if s.parent is not None},
+            {s.name: s.roster for s in found} if len({p.roster for p in players}) > 1 else {},
+        )
+
+
 class Ladder:
     """Results under one ArenaKey as a value: nothing in it changes, and it is fitted once, when somebody asks.
 
@@ -42,8 +71,8 @@ class Ladder:
 
     def __init__(
         self,
-        names: Iterable[str],
-        matches: Sequence[Match] = (),
+        names: Iterable[str] | Pool,
+        matches: Sequence[Match] | Totals = (),
         anchors: Iterable[str] = (),
         *,
         onto: Payoff | None = None,
@@ -51,24 +80,32 @@ class Ladder:
         """Tally a log.
 
         Args:
-            names: snapshots that shall have a place even if they have not played yet.
-            matches: rows of one ArenaKey; ValueError if there are several, or if a row contradicts itself.
+            names: snapshots that shall have a place even if they have not played yet, or the whole pool.
+            matches: rows of one ArenaKey, or their sums; ValueError if there are several, or if a row contradicts
+                itself.
             anchors: snapshots whose mean is put at ANCHOR_ELO: those of them that have played, for one of which nothing
                 is known would blur every interval; all snapshots if empty.
             onto: what earlier rows of the log were summed into.
         """
-        self.anchors = tuple(anchors)
-        self.payoff = tally(matches, [*names, *self.anchors], onto)
+        self.pool = names if isinstance(names, Pool) else Pool(tuple(names), tuple(anchors))
+        self.payoff = tally(matches, [*self.pool.names, *self.pool.anchors], onto)
 
-    def extended(
-        self, matches: Sequence[Match], names: Iterable[str] = (), anchors: Iterable[str] | None = None
-    ) -> "Ladder":
-        """The ladder of this log and further rows and names; itself, fit and all, where nothing is new."""
-        new = [name for name in names if name not in self.payoff.positions]
-        anchors = self.anchors if anchors is None else tuple(anchors)
-        if not matches and not new and anchors == self.anchors:
+    def extended(self, matches: Sequence[Match], names: Iterable[str] | Pool = ()) -> "Ladder":
+        """The ladder of this log and further rows, with further names or another pool.
+
+        It is itself, fit and all, where nothing is new.
+        """
+        pool = names if isinstance(names, Pool) else replace(self.pool, names=(*self.pool.names, *names))
+        new = any(name not in self.payoff.positions for name in pool.names)
+        known = replace(pool, names=self.pool.names) == self.pool
+        if not matches and not new and known:
             return self
-        return Ladder(new, matches, anchors, onto=self.payoff)
+        return Ladder(pool, matches, onto=self.payoff)
+
+    @property
+    def anchors(self) -> tuple[str, ...]:
+        """Snapshots whose mean is put at ANCHOR_ELO."""
+        return self.pool.anchors
 
     @property
     def arena(self) -> ArenaKey | None:
@@ -82,10 +119,13 @@ class Ladder:
 
     @cached_property
     def ratings(self) -> Ratings:
-        """The fit of all games, see matchmaking.ratings."""
+        """The fit of all games, see matchmaking.ratings; the prior leans on parents, see matchmaking.priors."""
         payoff = self.payoff
         played = [name for name in self.anchors if payoff.games[payoff.index(name)].any()]
-        return fit(payoff, anchors=played or self.anchors, anchor_elo=ANCHOR_ELO)
+        return fit(
+            payoff, prior=parents(payoff, self.pool.parents), anchors=played or self.anchors, anchor_elo=ANCHOR_ELO,
+            populations=self.pool.populations,
+        )  # fmt: skip
 
     @property
     def one_team(self) -> bool:
@@ -114,12 +154,19 @@ class Ladder:
 
     def void_rate(self, a: str) -> VoidRate:
         """How many of a's episodes were void, in how many of them for its own robots' sake."""
-        payoff, i = self.payoff, self.payoff.index(a)
-        first, second = payoff.first == i, payoff.second == i
-        own = payoff.culprits[first, 0].sum() + payoff.culprits[second, 1].sum()
-        others = payoff.culprits[first, 1].sum() + payoff.culprits[second, 0].sum()
-        voids = payoff.voids[first | second].sum() + payoff.trials[i, 2]
-        own += payoff.trials[i, 3]
-        episodes = int(payoff.episodes[i].sum()) + self.tried(a)
-        n = max(episodes, 1)
-        return VoidRate(float(own / n), float((voids - own - others) / n), episodes)
+        own, unclear, episodes = self._voids[self.payoff.index(a)].tolist()
+        return VoidRate(own / max(episodes, 1), unclear / max(episodes, 1), episodes)
+
+    @cached_property
+    def _voids(self) -> np.ndarray:
+        """(P, 3) Each snapshot's void episodes by its own robots, those of unclear cause, and all its episodes."""
+        payoff, P = self.payoff, len(self.names)
+        ends = (payoff.first, payoff.second)
+        voids = sum(np.bincount(end, payoff.voids, P) for end in ends) + payoff.trials[:, 2]
+        own, theirs = (
+            sum(np.bincount(end, payoff.culprits[:, who], P) for end, who in zip(ends, order, strict=True))
+            for order in ((0, 1), (1, 0))
+        )
+        own = own + payoff.trials[:, 3]
+        episodes = payoff.episodes.sum(1) + payoff.trials[:, :3].sum(1)
+        return np.stack([own, voids - own - theirs, episodes], 1).astype(int)

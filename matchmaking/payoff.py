@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from storage.records import ArenaKey, Match
+from storage.records import COUNTS, ArenaKey, Match, Totals
 
 PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
 
@@ -42,6 +42,7 @@ class Payoff:
     voids: np.ndarray  # (E,) int: episodes that count for nobody
     culprits: np.ndarray  # (E, 2) int: those of them in which only first's robots went bad, or only second's
     trials: np.ndarray  # (P, 4) int, in arenas of one team: successes, failures, voids, those of them that are its own
+    last: np.ndarray  # (P,) when its newest match was written, in seconds since the epoch; 0 without one
     arena: ArenaKey | None = None  # of the matches; None without any
 
     @cached_property
@@ -91,17 +92,25 @@ class Payoff:
 
         Raises ValueError for an unknown name. Named twice counts once.
         """
-        i, them = self.index(a), [self.index(b) for b in dict.fromkeys(others)]
-        wins, draws, losses = (int(counts[i, them].sum()) for counts in (self.wins, self.draws, self.losses))
-        ahead, behind = ((x == i) & np.isin(y, them) for x, y in self._both_ways)
-        pairs = self.pairs[ahead].sum(0) + self.pairs[behind].sum(0)[::-1]
-        low, high = score_interval(wins, draws, losses, pairs, confidence)
+        wins, draws, losses, *pairs = self.against(a, others)
+        low, high = score_interval(wins, draws, losses, np.array(pairs), confidence)
         n = wins + draws + losses
         return Score((wins + draws / 2) / n if n else float("nan"), float(low), float(high), n)
 
-    @property
-    def _both_ways(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        return (self.first, self.second), (self.second, self.first)
+    def against(self, a: str, others: Iterable[str]) -> tuple[int, ...]:
+        """Wins, draws, losses and the five pair counts of a against all of `others`; named twice counts once."""
+        i, counts = self.index(a), np.zeros(8, np.int64)
+        for j in map(self.index, dict.fromkeys(others)):
+            edge = self._edges.get((min(i, j), max(i, j)))
+            if edge is not None:
+                games, pairs = self.home[edge] + self.away[edge], self.pairs[edge]
+                counts += np.append(games, pairs) if i < j else np.append(games[::-1], pairs[::-1])
+        return tuple(counts.tolist())
+
+    @cached_property
+    def _edges(self) -> dict[tuple[int, int], int]:
+        ends = zip(self.first.tolist(), self.second.tolist(), strict=True)
+        return {end: edge for edge, end in enumerate(ends)}
 
     def _square(self, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
         """Per-pair counts as a (P, P) matrix: `forward` for (first, second), `backward` for (second, first)."""
@@ -111,71 +120,94 @@ class Payoff:
         return square
 
 
-def tally(matches: Sequence[Match], players: Iterable[str] = (), onto: Payoff | None = None) -> Payoff:
+def tally(matches: Sequence[Match] | Totals, players: Iterable[str] = (), onto: Payoff | None = None) -> Payoff:
     """Sum a match log into a Payoff.
 
     Args:
-        matches: rows of one ArenaKey. A snapshot's matches against itself say nothing of strength and are left out;
-            those without an opponent, from an arena of one team, are counted as `trials`.
+        matches: rows of one ArenaKey, or their sums. A snapshot's matches against itself say nothing of strength and
+            are left out; those without an opponent, from an arena of one team, are counted as `trials`.
         players: names of snapshots that shall have a place even if they have not played yet.
         onto: what earlier rows of the same log were summed into; the result is the same as of all rows together.
 
     Raises:
         ValueError: matches of several ArenaKeys, which cannot be compared, or a row whose counts contradict each other.
     """
-    arenas = {match.arena for match in matches} | ({onto.arena} if onto and onto.arena else set())
+    arenas = _arenas(matches) | ({onto.arena} if onto and onto.arena else set())
     if len(arenas) > 1:
         raise ValueError(f"matches of {len(arenas)} arenas cannot be compared; choose one of {sorted(arenas)}")
-    for match in matches:
-        _check(match)
-    seen = {name for m in matches for name in (m.a, m.b) if name is not None}
-    names = tuple(sorted({*players, *seen, *(onto.names if onto else ())}))
-    place = {name: i for i, name in enumerate(names)}
-    table = np.array([_row(m, m.b, place) for m in matches if m.b not in (None, m.a)], np.int64).reshape(-1, 16)
-    trials = np.zeros((len(names), 4), np.int64)
-    for m in matches:
-        if m.b is None:
-            trials[place[m.a]] += m.wins, m.draws + m.losses, m.voids, m.voids_a
+    of_a, of_b, counts, created = _columns(matches)
+    names = tuple(sorted({*players, *of_a, *of_b, *(onto.names if onto else ())} - {None}))
+    place: dict[str | None, int] = {name: i for i, name in enumerate(names)}
+    a, b = (np.array([place.get(name, -1) for name in of], np.int64) for of in (of_a, of_b))
+    alone, met = b < 0, (b >= 0) & (a != b)
+    table = _of_first(a[met], b[met], counts[met])
+    trials, last = np.zeros((len(names), 4), np.int64), np.zeros(len(names))
+    wins, draws, losses, voids, voids_a = counts[alone][:, [0, 1, 2, 11, 12]].T
+    np.add.at(trials, a[alone], np.stack([wins, draws + losses, voids, voids_a], 1))
+    for who, when in ((a, created), (b[~alone], created[~alone])):
+        np.maximum.at(last, who, when)
     if onto is not None:
         now = np.array([place[name] for name in onto.names], np.int64)
-        counts = (onto.home, onto.away, onto.pairs, onto.voids, onto.culprits)
-        table = np.concatenate([table, np.column_stack([now[onto.first], now[onto.second], *counts])])
+        before = (onto.home, onto.away, onto.pairs, onto.voids, onto.culprits)
+        table = np.concatenate([table, np.column_stack([now[onto.first], now[onto.second], *before])])
         trials[now] += onto.trials
+        last[now] = np.maximum(last[now], onto.last)
     # Pairs are numbered by place, so sums do not depend on the order of rows (and integers add exactly).
     keys, edge = np.unique(table[:, 0] * len(names) + table[:, 1], return_inverse=True)
     sums = np.zeros((len(keys), 14), np.int64)
     np.add.at(sums, edge, table[:, 2:])
     first, second = np.divmod(keys, max(len(names), 1))
-    home, away, pairs, voids, culprits = np.split(sums, [3, 6, 11, 12], axis=1)
-    return Payoff(names, first, second, home, away, pairs, voids[:, 0], culprits, trials, next(iter(arenas), None))
+    home, away, pairs, void, culprits = np.split(sums, [3, 6, 11, 12], axis=1)
+    return Payoff(names, first, second, home, away, pairs, void[:, 0], culprits, trials, last, next(iter(arenas), None))
 
 
-def _check(match: Match) -> None:
+def _arenas(matches: Sequence[Match] | Totals) -> set[ArenaKey]:
+    return {matches.arena} if isinstance(matches, Totals) else {match.arena for match in matches}
+
+
+def _columns(
+    matches: Sequence[Match] | Totals,
+) -> tuple[Sequence[str], Sequence[str | None], np.ndarray, np.ndarray]:
+    """A log's columns: a, b, counts (rows, 14) in the order of COUNTS, when the row was written."""
+    if not isinstance(matches, Totals):
+        matches = Totals(
+            ArenaKey("", "", ""), [m.a for m in matches], [m.b for m in matches], [_counts(m) for m in matches],
+            [m.created for m in matches], 0,
+        )  # fmt: skip
+    counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNTS))
+    _check(matches.a, matches.b, counts)
+    return matches.a, matches.b, counts, np.array(matches.created, float)
+
+
+def _counts(m: Match) -> tuple[int, ...]:
+    sides = (m.side_wins, m.side_draws, m.side_losses)
+    return (m.wins, m.draws, m.losses, *sides, *m.pairs, m.voids, m.voids_a, m.voids_b)
+
+
+def _check(a: Sequence[str], b: Sequence[str | None], counts: np.ndarray) -> None:
     """Refuse a row whose counts contradict each other."""
-    home = (match.side_wins, match.side_draws, match.side_losses)
-    away = (match.wins - home[0], match.draws - home[1], match.losses - home[2])
-    blamed = (match.voids_a, match.voids_b)
-    if (
-        min(*home, *away, *match.pairs, match.voids, *blamed) < 0
-        or sum(match.pairs) > min(sum(home), sum(away))
-        or sum(blamed) > match.voids
-    ):
-        against = f" against {match.b}" if match.b else ""
+    home, pairs, voids = counts[:, 3:6], counts[:, 6:11], counts[:, 11]
+    away = counts[:, :3] - home
+    wrong = (counts < 0).any(1) | (away < 0).any(1) | (counts[:, 12:].sum(1) > voids)
+    wrong |= pairs.sum(1) > np.minimum(home.sum(1), away.sum(1))
+    for i in np.flatnonzero(wrong)[:1]:
+        against = f" against {b[i]}" if b[i] else ""
         raise ValueError(
-            f"match {match.id} ({match.a}{against}) contradicts itself: side counts must not exceed the totals, each"
-            " seed pair needs a valid game on either side, and a void has one culprit at most"
+            f"a match of {a[i]}{against} contradicts itself: side counts must not exceed the totals, each seed pair"
+            " needs a valid game on either side, and a void has one culprit at most"
         )
 
 
-def _row(match: Match, b: str, place: dict[str, int]) -> tuple[int, ...]:
-    """A match as (first, second, home ×3, away ×3, pairs ×5, voids, culprits ×2), seen from the first by name."""
-    home = (match.side_wins, match.side_draws, match.side_losses)
-    away = (match.wins - home[0], match.draws - home[1], match.losses - home[2])
-    pairs, culprits = tuple(match.pairs), (match.voids_a, match.voids_b)
-    if match.a > b:  # B's away games are those in which A played team 0, and A's losses are B's wins
-        home, away, pairs, culprits = away[::-1], home[::-1], pairs[::-1], culprits[::-1]
-    i, j = sorted((place[match.a], place[b]))
-    return (i, j, *home, *away, *pairs, match.voids, *culprits)
+def _of_first(a: np.ndarray, b: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """(rows, 16) first, second, home ×3, away ×3, pairs ×5, voids, culprits ×2, seen from the first by name."""
+    home, pairs, voids, culprits = counts[:, 3:6], counts[:, 6:11], counts[:, 11:12], counts[:, 12:]
+    away, turned = counts[:, :3] - home, (a > b)[:, None]
+    # B's away games are those in which A played team 0, and A's losses are B's wins.
+    return np.column_stack([
+        np.minimum(a, b), np.maximum(a, b),
+        np.where(turned, away[:, ::-1], home), np.where(turned, home[:, ::-1], away),
+        np.where(turned, pairs[:, ::-1], pairs), voids, np.where(turned, culprits[:, ::-1], culprits),
+    ])  # fmt: skip
 
 
 def score_interval(wins, draws, losses, pairs=None, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:

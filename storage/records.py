@@ -4,7 +4,7 @@ Times are seconds since the epoch on the database's clock. Digests are SHA-256 i
 snapshot, like a player, is known by its name; its digest says which bytes it holds, and two may hold the same.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -144,6 +144,24 @@ class Match:
     due: float | None = None
     id: int = 0  # 1, 2, 3, ... in the order of commits, within the league
     created: float = 0.0
+
+
+class Totals(NamedTuple):
+    """Matches under one ArenaKey, summed for each a and b: all that ratings need of a log, in fewer rows."""
+
+    arena: ArenaKey
+    a: Sequence[str]
+    b: Sequence[str | None]
+    counts: Sequence[Sequence[int]]  # (rows, 14), in the order of COUNTS
+    created: Sequence[float]  # of the newest match in the row
+    newest: int  # id of the newest match of all
+
+
+COUNTS = (
+    "wins", "draws", "losses", "side_wins", "side_draws", "side_losses", *PairCounts._fields,
+    "voids", "voids_a", "voids_b",
+)  # fmt: skip
+"""What is summed of matches, by the names of their columns."""
 
 
 @dataclass(frozen=True)

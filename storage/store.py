@@ -25,6 +25,8 @@ from storage.errors import LeaseLost, StorageError, UnknownName
 from storage.opening import open_database
 from storage.places import blobs_place, database_url, shown
 from storage.records import (
+    COUNTS,
+    ArenaKey,
     Checkpoint,
     CurvePoint,
     Job,
@@ -36,6 +38,7 @@ from storage.records import (
     Player,
     Run,
     Snapshot,
+    Totals,
     Worker,
 )
 
@@ -224,6 +227,27 @@ class Store:
         c = t.matches.c
         chosen = [c.purpose == purpose] if purpose is not None else []
         return self._db.records(Match, t.matches, c.league == league, c.id > after, *chosen, order=[c.id])
+
+    def totals(self, league: str, purpose: str | Sequence[str], until: float | None = None) -> dict[ArenaKey, Totals]:
+        """The match log played for some purpose, summed under each ArenaKey, that of the newest match first.
+
+        `until`: only matches that were written up to then, in seconds since the epoch on the database's clock.
+        """
+        c = t.matches.c
+        wanted = (purpose,) if isinstance(purpose, str) else purpose
+        chosen = [c.league == league, c.purpose.in_(wanted), *([c.created <= until] if until is not None else [])]
+        groups = (*(c[name] for name in ArenaKey._fields), c.a, c.b)
+        sums = [sa.cast(sa.func.sum(c[name]), sa.BigInteger) for name in COUNTS]  # PostgreSQL sums to decimals
+        newest = (sa.func.max(c.created), sa.func.max(c.id))
+        found: dict[ArenaKey, list[Any]] = {}
+        for row in self._db.rows(sa.select(*groups, *sums, *newest).where(*chosen).group_by(*groups)):
+            found.setdefault(ArenaKey(*row[:3]), []).append(row)
+        read = [
+            Totals(key, [r[3] for r in log], [r[4] for r in log], [r[5:-2] for r in log], [r[-2] for r in log],
+                   max(r[-1] for r in log))
+            for key, log in found.items()
+        ]  # fmt: skip
+        return {each.arena: each for each in sorted(read, key=lambda each: -each.newest)}
 
     def booked(self, league: str) -> tuple[float, float]:
         """Device seconds of the matches that were queued while players learnt, and their first `due`; zeros without."""

@@ -2,40 +2,58 @@
 
 import shlex
 import shutil
+import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
+from typing import Literal
 
 from dashboards.tables import Column, Format, render
 from league.commands.options import Listing, parse
-from league.query import (
+from league.config.schema import ConfigError
+from league.query import Shown, curve_rows, match_rows, score_text, snapshot_rows
+from league.rated import (
     VOID_LIMIT,
     Row,
-    choose,
-    curve_rows,
-    match_rows,
+    chosen,
+    moment,
     rating_rows,
-    score_text,
     side_score,
     side_text,
-    snapshot_rows,
     unlike_sides,
+    with_ticker,
 )
 from matchmaking.ladder import ANCHOR_ELO, UNKNOWN, Ladder
-from storage.records import ArenaKey, Player, Snapshot
+from matchmaking.payoff import quantile
+from matchmaking.ticker import K, ticker
+from storage.records import ArenaKey, Match, Player, Snapshot
 
+TICKING = (
+    f"The ticker is a sequential Elo (K = {K:g} a game) over the log: it depends on the order of the games and has no"
+    " interval. elo ± is the rating, a fit of all games at once."
+)
 NEWEST = 30
 """Rows of a long table that are printed unless more are asked for."""
 
+ABOUT = (
+    Column("trained", whole=True), Column("role", whole=True), Column("player", whole=True),
+    Column("last", "last played", whole=True),
+)  # fmt: skip
 RATED = (
-    Column("name", whole=True), Column("elo", decimals=0), Column("error", "±", 0), "episodes",
-    Column("score", decimals=3), Column("vs_initial", "vs initial", 3), Column("trained", whole=True),
-    Column("void", "void %", whole=True),
+    Column("rank", "", 0), Column("name", "snapshot", whole=True), Column("elo", decimals=0), Column("error", "±", 0),
+    "games", Column("win_rate", "win rate", 3), Column("vs_initial", "vs initial", 3),
+    Column("void", "void %", whole=True), Column("result", "w-d-l", whole=True), *ABOUT,
 )  # fmt: skip
 TRIED = (
-    Column("name", whole=True), Column("success", decimals=3), Column("success_low", "from", 3),
-    Column("success_high", "to", 3), "episodes", Column("trained", whole=True), Column("void", "void %", whole=True),
+    Column("rank", "", 0), Column("name", "snapshot", whole=True), Column("success", decimals=3),
+    Column("success_low", "from", 3), Column("success_high", "to", 3), "games", Column("void", "void %", whole=True),
+    *ABOUT,
+)  # fmt: skip
+TICKED = (
+    Column("rank", "", 0), Column("name", "snapshot", whole=True), Column("ticker", decimals=0),
+    Column("elo", decimals=0), Column("error", "±", 0), "games", Column("role", whole=True),
+    Column("player", whole=True),
 )  # fmt: skip
 MATCHES = (
     "match", Column("a", whole=True), Column("b", whole=True), Column("result", "w-d-l", whole=True), "voids",
@@ -54,6 +72,10 @@ CURVES = (
 )  # fmt: skip
 
 
+def _dated(value: str) -> None:
+    moment(value)
+
+
 @dataclass(frozen=True)
 class RatingOptions(Listing):
     """Which ladder of which league, and how to print it."""
@@ -64,6 +86,16 @@ class RatingOptions(Listing):
     """The ladder under this engine: c, jax or warp (none: that of the newest matches)."""
     all: bool = False
     """Every ladder, one after the other."""
+    team: str | None = None
+    """Only snapshots of this team, by its name or number, and scripts and imports of its roster (none: everyone's)."""
+    role: str | None = None
+    """Only snapshots of this role, such as main or fixed, which is that of scripts and imports (none: every role)."""
+    as_of: str | None = field(default=None, metadata={"valid": _dated})
+    """As it stood at the end of this day, or at this time: 2026-11-22 or 2026-11-22T10:30, in UTC (none: now)."""
+    ticker: bool = False
+    """The online Elo ticker beside the ratings: quick to follow, but it depends on the order of the games."""
+    format: Literal["table", "json", "csv", "parquet"] = "table"  # type: ignore[assignment]
+    """table for people; json, csv or parquet for programs."""
 
 
 @dataclass(frozen=True)
@@ -87,20 +119,43 @@ class CurveOptions(LogOptions):
 def ratings(args: list[str]) -> int:
     """Print the ladders."""
     options = parse(RatingOptions, args, "ratings", "Who is better, and how sure that is.")
+    as_of = None if options.as_of is None else moment(options.as_of)
     with options.open() as opened:
-        store, keys = opened.store, opened.ladders()
-        chosen = choose(keys, options.arena, options.engine)
-        wanted = [key for key in keys if _fits(key, options)] if options.all else [chosen]
-        frozen, players, limit = store.snapshots(opened.league), store.players(opened.league), opened.void_limit()
-        found = [opened.ladder(key) for key in wanted or [None]]
-    if options.format == "table":
-        parts = [ratings_table(ladder, frozen, players, limit) for ladder in found]
-        others = [key for key in keys if key not in wanted]
-        print("\n\n".join([*parts, *_others(others, chosen)]))
+        shown, teams = opened.shown(options.arena, options.engine, as_of, options.all), opened.teams()
+        log = opened.store.matches(opened.league, "rating") if options.ticker else []
+    found = []
+    for ladder in shown.ladders:
+        rows = rating_rows(ladder, shown.snapshots, shown.players, shown.void_limit)
+        rows = chosen(rows, shown.players, teams, options.team, options.role)
+        if options.ticker:
+            rows = with_ticker(rows, ticker(_until(log, ladder, as_of), ladder.pool.parents))
+        found.append((ladder, rows))
+    if options.format == "parquet":
+        _write_parquet([row for _, rows in found for row in rows])
+    elif options.format == "table":
+        tables = [rated_table(ladder, rows, shown, options.ticker) for ladder, rows in found]
+        print("\n\n".join([*tables, *_others(shown.others, shown.key)]))
     else:
-        rows = [row for ladder in found for row in rating_rows(ladder, frozen, players, limit)]
-        print(render(rows, (), options.format))
+        print(render([row for _, rows in found for row in rows], (), options.format))
     return 0
+
+
+def _until(log: Sequence[Match], ladder: Ladder, as_of: float | None) -> list[Match]:
+    return [m for m in log if m.arena == ladder.arena and (as_of is None or m.created <= as_of)]
+
+
+def _write_parquet(rows: list[Row]) -> None:
+    """To standard output, which must not be a terminal. Raises ConfigError."""
+    if sys.stdout.isatty():
+        raise ConfigError(("format",), "--format parquet is no text: send it to a file, as in ... > ratings.parquet")
+    try:
+        import pandas as pd
+        import pyarrow as pa
+        import pyarrow.parquet
+    except ImportError as error:
+        need = f"--format parquet needs pyarrow ({error}): pip install 'robot-league[parquet]'"
+        raise ConfigError(("format",), need) from None
+    pyarrow.parquet.write_table(pa.Table.from_pandas(pd.DataFrame(rows), preserve_index=False), sys.stdout.buffer)
 
 
 def matches(args: list[str]) -> int:
@@ -142,18 +197,28 @@ def ratings_table(
 ) -> str:
     """A ladder as a table with what its figures mean, best first; where teams are unlike, a table for each side."""
     rows = rating_rows(ladder, frozen, players, void_limit)
+    return rated_table(ladder, rows, Shown(ladder.arena, [ladder], [], list(frozen), list(players), void_limit))
+
+
+def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = False) -> str:
+    """The same of some of a ladder's rows, which get columns for people; or its ticker."""
     for row in rows:
         row["error"] = (row["high"] - row["low"]) / 2 if row["known"] else None
         row["elo"] = row["elo"] if row["known"] else None
         row["trained"] = None if row["seconds"] is None else clock(row["seconds"])
         row["void"] = _void(row)
-    columns, sides = TRIED if ladder.one_team else RATED, unlike_sides(players)
-    parts = [render(rows, columns, title=_title(ladder))]
+        row["result"] = f"{row['wins']}-{row['draws']}-{row['losses']}" if row["games"] else None
+        row["last"] = row["last_played"] and row["last_played"][:16].replace("T", " ")
+    columns, sides = TRIED if ladder.one_team else RATED, unlike_sides(shown.players)
+    title = f"Online Elo ticker in {_told(ladder.arena)}" if ticking and ladder.arena else _title(ladder)
+    columns = TICKED if ticking else columns
+    parts = [render(rows, columns, title=title)]
     if sides:
         of = {roster: [row for row in rows if row["roster"] == roster] for roster in sides}
-        parts = [_title(ladder), *(render(of[roster], columns, title=f"{side_text(roster)}:") for roster in sides)]
-    notes = [*_notes(ladder, rows, void_limit), *_between(ladder, frozen, sides)]
-    return "\n\n".join([*parts, *(["\n".join(map(_wrapped, notes))] if notes else [])])
+        parts = [title, *(render(of[r], columns, title=f"{side_text(r)}:") for r in sides if of[r])]
+    notes = [*_notes(ladder, rows, shown.void_limit, bool(sides)), *_between(ladder, shown.snapshots, sides)]
+    notes = [TICKING, *notes] if ticking else notes
+    return "\n\n".join([*parts, *(["\n".join(map(wrapped, notes))] if notes else [])])
 
 
 def clock(seconds: float) -> str:
@@ -174,11 +239,12 @@ def _told(key: ArenaKey) -> str:
     return f"{key.arena} under {key.engine} (rules {key.config_hash[:8]})"
 
 
-def _notes(ladder: Ladder, rows: Sequence[Row], void_limit: float) -> list[str]:
+def _notes(ladder: Ladder, rows: Sequence[Row], void_limit: float, by_side: bool) -> list[str]:
     """What the table's figures mean, one sentence or two for each that stands in it."""
     notes = []
     if ladder.arena is not None and not ladder.one_team:
-        notes.append(f"The mean of the initial snapshots is {ANCHOR_ELO:.0f} Elo.")
+        of = "each side's" if by_side else "the"
+        notes.append(f"The mean of {of} initial snapshots is {ANCHOR_ELO:.0f} Elo.")
         if not all(row["known"] for row in rows):
             notes[0] += f" –: not yet known (an interval wider than {UNKNOWN:.0f} Elo, or no game)."
         if abs(side := ladder.ratings.side_advantage) >= 0.5:
@@ -207,20 +273,23 @@ def _between(ladder: Ladder, frozen: Sequence[Snapshot], sides: Sequence[str]) -
         for a, b in product(*newest):
             text += f" By these ratings {a} scores {100 * ladder.ratings.expected(a, b):.1f} % against {b}."
         notes.append(text)
+        if not {one, other} <= set(ladder.ratings.populations):
+            continue
+        tilt, error = ladder.ratings.tilt(one, other)
+        notes.append(
+            f"Between what stands at {ANCHOR_ELO:.0f} on either side the arena leans to"
+            f" {side_text(one if tilt >= 0 else other)} by {abs(tilt):.0f} Elo (± {quantile(0.95) * error:.0f})."
+        )
     if notes:
-        notes.append("Elo tells skill within a side; between sides it tells role and skill in one.")
+        notes.append("Elo tells skill within a side; between sides the tilt comes on top, role and skill in one.")
     return notes
 
 
 def _void(row: Row) -> str | None:
     own, unclear = 100 * row["voids_own"], 100 * row["voids_unclear"]
-    if not row["episodes"] and not own + unclear:
+    if not row["games"] and not own + unclear:
         return None
     return (f"{own:.1f}" + (f" + {unclear:.1f}" if unclear else "") if own or unclear else "0") + row["flagged"]
-
-
-def _fits(key: ArenaKey, options: RatingOptions) -> bool:
-    return options.arena in (None, key.arena) and options.engine in (None, key.engine)
 
 
 def _others(keys: Sequence[ArenaKey], shown: ArenaKey | None) -> list[str]:
@@ -248,7 +317,7 @@ def _newest(
     if format != "table" or len(shown) == len(rows):
         return text
     more = f"league {command} {shlex.join([*_without(args, '--last'), '--last', str(4 * last)])}"
-    return f"{text}\n\n" + _wrapped(
+    return f"{text}\n\n" + wrapped(
         f"The newest {len(shown):,} of {len(rows):,}; `{more}` shows more, --all everything."
     )
 
@@ -264,5 +333,6 @@ def _without(args: Sequence[str], flag: str) -> list[str]:
     return kept
 
 
-def _wrapped(text: str) -> str:
+def wrapped(text: str) -> str:
+    """A paragraph, broken into lines of the terminal's width."""
     return textwrap.fill(text, shutil.get_terminal_size().columns)

@@ -64,7 +64,11 @@ def _choose(opened: Open, number: int | None) -> Match:
     ladder = opened.ladder(key)
 
     def strength(name: str) -> float:
-        return ladder.success(name).score if ladder.one_team else float(ladder.ratings.elo[ladder.ratings.index(name)])
+        return (
+            ladder.success(name).score
+            if ladder.one_team
+            else float(ladder.ratings.strength[ladder.ratings.index(name)])
+        )
 
     def interest(match: Match) -> tuple[bool, float, int]:
         sides = [side for side in (match.a, match.b) if side is not None]

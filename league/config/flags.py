@@ -154,5 +154,7 @@ def is_of(key: Key, given: Given) -> bool:
 def as_flag(error: ConfigError) -> ConfigError:
     """The error with its key written as a flag."""
     name = dotted(error.key)
-    dashed = f"--{error.message}" if name and error.message.startswith(f"{name} ") else error.message
-    return ConfigError(error.key, dashed)
+    if not name or not error.message.startswith(f"{name} "):
+        return ConfigError(error.key, error.message)
+    flag = f"--{name.replace('_', '-')}"  # as --help writes it
+    return ConfigError(error.key, flag + error.message.removeprefix(name))

@@ -1,6 +1,7 @@
 import csv
 import io
 import json
+import random
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dashboards import tables
 from dashboards.tables import Column, render
 
 ROWS = [
@@ -116,3 +118,16 @@ def test_importing_it_loads_neither_pandas_nor_numpy():
         "import sys, dashboards.tables; print([m for m in ('pandas', 'numpy', 'rich', 'rerun') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_table_that_fits_looks_the_same_without_the_library_that_folds(seed, monkeypatch):
+    rng = random.Random(seed)
+    keys = ["alpha", "b", "c_long_title", "d"][: rng.randint(1, 4)]
+    values = [None, 1, 2.5, "text é ×", True, 12345, -0.25, "x"]
+    rows = [{key: rng.choice(values if key != "d" else [1, 20_000, None]) for key in keys} for _ in range(seed % 7)]
+    columns, title = [Column(key, whole=rng.random() < 0.5) for key in keys], rng.choice(["", "A title"])
+    assert tables._is_plain(keys, [[str(row[key]) for row in rows] for key in keys], 80)
+    plain = render(rows, columns, title=title, width=80)
+    monkeypatch.setattr(tables, "_is_plain", lambda *_: False)
+    assert render(rows, columns, title=title, width=80) == plain

@@ -115,8 +115,8 @@ def test_a_file_holds_the_networks_parameters_and_all_that_is_known(home, file, 
         told = json.loads(opened.metadata()["robot_league"])
     rating = Open(home, "home").ratings().set_index("name").loc["blue@4"]
     assert told.pop("rating") == {
-        **KEY._asdict(), "episodes": int(rating.episodes), "elo": rating.elo, "low": rating.low, "high": rating.high,
-        "known": bool(rating.known), "score": rating.score,
+        **KEY._asdict(), "episodes": int(rating.games), "elo": rating.elo, "low": rating.low, "high": rating.high,
+        "known": bool(rating.known), "score": rating.win_rate,
     }  # fmt: skip
     assert told == {
         "format": 1, "league": "home", "name": "blue@4", "digest": snapshot.digest, "player": "blue",
@@ -214,7 +214,7 @@ def test_an_imported_policy_plays_and_is_rated(file, tmp_path, capsys):
         assert claimed is not None
         store.finish(claimed[0], matches=played)
         rows = Open(store, "away").ratings().set_index("name")
-        assert rows.loc["anchor"].episodes == 16
+        assert rows.loc["anchor"].games == 16
         assert np.isfinite(rows.loc["anchor"].elo)
 
 

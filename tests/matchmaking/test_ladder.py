@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from matchmaking import ladder as module
-from matchmaking.ladder import Ladder
+from matchmaking.ladder import Ladder, Pool
 from matchmaking.payoff import score_interval, tally
-from matchmaking.ratings import fit
+from matchmaking.ratings import ELO, fit
+from storage.records import Player, Snapshot
 
 
 def test_a_ladder_says_what_payoff_and_fit_say(match):
@@ -84,3 +85,79 @@ def test_an_empty_ladder_can_be_asked(match):
     assert Ladder([]).ratings.elo.shape == (0,)
     empty = Ladder(["a"])
     assert (empty.arena, empty.known("a"), empty.one_team) == (None, False, False)
+
+
+def unlike(match, tilt):
+    """Rovers and ants that meet only each other: strengths a step apart, and rovers stronger by `tilt` (log odds)."""
+    rovers, ants = {"r0": 0.0, "r1": 0.7}, {"a0": 0.0, "a1": 0.4, "a2": 1.0}
+
+    def wins(gap):
+        return round(40_000 / (1 + math.exp(-gap)))
+
+    log = [
+        match(r, a, home=(wins(x - y + tilt), 0, wins(y - x - tilt)))
+        for r, x in rovers.items() for a, y in ants.items()
+    ]  # fmt: skip
+    populations = {name: "rover" for name in rovers} | {name: "ant" for name in ants}
+    return Ladder(Pool(tuple(populations), ("r0", "a0"), {}, populations), log)
+
+
+@pytest.mark.parametrize("tilt", [-1.0, 0.0, 0.5])
+def test_populations_that_never_meet_within_have_a_ladder_each_and_the_arena_a_tilt(match, tilt):
+    ladder = unlike(match, tilt)
+    ratings = ladder.ratings
+    assert ratings.populations == ("ant", "rover")
+    elo = dict(zip(ratings.names, ((ratings.elo - 1000) / ELO).tolist(), strict=True))
+    # Whatever the arena's tilt, each side's Elo counts from its own initial snapshot.
+    assert elo == pytest.approx({"a0": 0, "a1": 0.4, "a2": 1.0, "r0": 0, "r1": 0.7}, abs=0.01)
+    assert (ratings.stderr[0], ratings.stderr[3]) == pytest.approx((0, 0), abs=1e-3)
+    leans, error = ratings.tilt("rover", "ant")
+    assert leans / ELO == pytest.approx(tilt, abs=0.01)
+    assert 0 < error < 10
+    assert ratings.tilt("ant", "rover") == pytest.approx((-leans, error))
+    assert ratings.expected("r1", "a2") == pytest.approx(1 / (1 + math.exp(1.0 - 0.7 - tilt)), abs=1e-3)
+    assert (ratings.likelihood_of_superiority("r1", "a2") > 0.5) == (tilt > 0.3)
+    assert (ratings.side_advantage, math.isnan(ratings.side_stderr)) == (0, True)
+
+
+def test_a_population_without_an_anchor_that_played_counts_from_all_its_own(match):
+    ladder = unlike(match, 0.5)
+    pool = Pool(ladder.pool.names, ("a0",), {}, ladder.pool.populations)
+    ratings = Ladder(pool, onto=ladder.payoff).ratings
+    assert ratings.elo[3:].mean() == pytest.approx(1000)
+    assert ratings.elo[0] == 1000
+    assert ratings.expected_scores() == pytest.approx(ladder.ratings.expected_scores())
+
+
+def test_a_new_snapshot_is_as_strong_as_its_parent_until_games_say_otherwise(match):
+    log = [match("a", "b", home=(30, 0, 10), away=(30, 0, 10))]
+    names = ("a", "b", "c", "d")
+    ladder = Ladder(Pool(names, ("b",), {"c": "a", "d": "elsewhere"}), log)
+    elo = dict(zip(names, ladder.ratings.elo.tolist(), strict=True))
+    assert elo["c"] == pytest.approx(elo["a"], abs=3)
+    assert not ladder.known("c")
+    few = ladder.extended([match("c", "b", home=(0, 0, 2), away=(0, 0, 2))])
+    many = few.extended([match("c", "b", home=(0, 0, 98), away=(0, 0, 98))])
+    fell = [ladder.ratings.elo[2], few.ratings.elo[2], many.ratings.elo[2]]
+    assert fell == sorted(fell, reverse=True)
+    assert fell[2] < elo["b"] < fell[0]
+
+
+def test_a_lineage_that_has_not_played_is_level():
+    ladder = Ladder(Pool(("a", "b", "c"), ("a",), {"b": "a", "c": "b"}))
+    assert ladder.ratings.elo == pytest.approx([1000, 1000, 1000])
+    assert not ladder.known("c")
+
+
+def test_a_pool_is_what_a_league_says_of_its_snapshots():
+    def snapshot(name, roster, **given):
+        return Snapshot("cup", name, name, roster, **given)
+
+    rovers = [snapshot("blue@0", "rover", player="blue", initial=True), snapshot("blue@1", "rover", parent="blue@0")]
+    ants = [snapshot("red@0", "ant", player="red", initial=True), snapshot("idle", "ant", script="idle")]
+    alike = Pool.of([*rovers], [Player("cup", "blue", 0, "main", "rover"), Player("cup", "red", 1, "main", "rover")])
+    assert alike == Pool(("blue@0", "blue@1"), ("blue@0",), {"blue@1": "blue@0"}, {})
+    other = Pool.of(
+        [*rovers, *ants], [Player("cup", "blue", 0, "main", "rover"), Player("cup", "red", 1, "main", "ant")]
+    )
+    assert other.populations == {"blue@0": "rover", "blue@1": "rover", "red@0": "ant", "idle": "ant"}

@@ -195,7 +195,9 @@ def test_superiority_is_the_chance_that_the_difference_is_positive(match):
     assert ratings.likelihood_of_superiority("a", "a") == 0.5
 
 
-@pytest.mark.parametrize(("wrong", "says"), [({"prior": 0}, "above 0"), ({"anchors": ["z"]}, "'z' is not among")])
+@pytest.mark.parametrize(
+    ("wrong", "says"), [({"prior": -1}, "a positive number"), ({"anchors": ["z"]}, "'z' is not among")]
+)
 def test_impossible_requests_are_refused(match, wrong, says):
     with pytest.raises(ValueError, match=says):
         fit(tally([swapped(match, "a", "b", 1, 0, 1)]), **wrong)

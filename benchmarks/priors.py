@@ -1,0 +1,180 @@
+"""Which prior predicts games that the fit has not seen: virtual games with the opponents met, or with the parent.
+
+python benchmarks/priors.py [--store league-data] [--out FILE]
+
+Simulated leagues: two lineages whose strength grows by normal steps, of which each new snapshot meets its initial one
+and a few others; beside transitive strength every pair has an advantage of its own. Real ones (--store): of each row of
+the log a few games are kept and the others held out. Prints JSON: for each prior the mean log loss of a held-out game
+(nats), the calibration error (mean distance of score and prediction over ten equal groups), and how often the 95 %
+interval of a snapshot's gap to its parent holds the truth (simulated leagues only).
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from record import commit
+
+import league
+from matchmaking import priors
+from matchmaking.payoff import Payoff, tally
+from matchmaking.priors import Prior
+from matchmaking.ratings import ELO, Ratings, davidson, fit
+from storage.records import ArenaKey, Match, PairCounts
+
+NU, SIDE = 0.3, 0.1
+Parents = Mapping[str, str]
+PRIORS: dict[str, Callable[[Payoff, Parents], Prior]] = {
+    **{f"opponents, {n:g}": lambda payoff, _, n=n: priors.opponents(payoff, n) for n in (0.5, 1, 2, 4)},
+    **{f"parent, {n:g}": lambda payoff, parents, n=n: priors.parents(payoff, parents, n) for n in (0.5, 1, 2, 4, 8)},
+}
+REGIMES = {  # mean and deviation of a lineage's step in log odds, games per pair
+    f"{told}, {games} games a pair": (mean, deviation, games)
+    for told, mean, deviation in (("leaps", 1.2, 0.6), ("fast", 0.5, 0.3), ("slow", 0.1, 0.15), ("level", 0.0, 0.2))
+    for games in (4, 16, 64)
+}
+
+
+@dataclass
+class Tried:
+    """One league: what is fitted, and what is held out."""
+
+    log: list[Match]
+    held_out: list[Match]
+    parents: Parents
+    theta: Mapping[str, float] | None = None  # the truth, where there is one
+
+
+def games(a: str, b: str, gap: float, n: int, rng: np.random.Generator) -> Match:
+    """So many games, half of them with sides swapped."""
+    p = [np.exp(davidson(np.array(gap + side), np.log(NU)).log_likelihood) for side in (SIDE, -SIDE)]
+    home, away = (rng.multinomial(n // 2, each / each.sum()) for each in p)
+    return _match(a, b, home, away)
+
+
+def _match(a: str, b: str, home: np.ndarray, away: np.ndarray) -> Match:
+    w, d, l = (int(x) for x in home + away)  # noqa: E741
+    return Match("bench", ArenaKey("sumo", "0", "c"), a, b, w, d, l, 0, *map(int, home), PairCounts(), seed=0)
+
+
+def simulated(mean: float, deviation: float, n: int, rng: np.random.Generator, length: int = 16) -> Tried:
+    """Two lineages of 16 snapshots; everybody meets its initial snapshot and four others that came before it."""
+    theta, parents, log, held_out = {}, {}, [], []
+    for player in ("blue", "red"):
+        steps = np.append(0, np.cumsum(rng.normal(mean, deviation, length - 1)))
+        theta |= {f"{player}@{i:02d}": float(x) for i, x in enumerate(steps)}
+        parents |= {f"{player}@{i:02d}": f"{player}@{i - 1:02d}" for i in range(1, length)}
+    own = {tuple(sorted(pair)): rng.normal(0, 0.2) for pair in _pairs(theta)}
+    met = set()
+    for i in range(1, length):
+        for name in (f"blue@{i:02d}", f"red@{i:02d}"):
+            earlier = [other for other in theta if int(other[-2:]) < i]
+            for other in {f"{name[:-2]}00", *rng.choice(earlier, min(4, len(earlier)), replace=False)}:
+                met.add(tuple(sorted((name, str(other)))))
+    for a, b in _pairs(theta):
+        gap = theta[a] - theta[b] + own[a, b]
+        if (a, b) in met:
+            log.append(games(a, b, gap, n, rng))
+        held_out.append(games(a, b, gap, 8, rng))
+    return Tried(log, held_out, parents, theta)
+
+
+def thinned(store: str, n: int, rng: np.random.Generator) -> Tried:
+    """A real league's newest ladder: n games of each row are fitted, the others held out."""
+    with league.open(store) as opened:
+        key = opened.ladders()[0]
+        log = [m for m in opened.store.matches(opened.league, "rating") if m.arena == key]
+        parents = {s.name: s.parent for s in opened.store.snapshots(opened.league) if s.parent}
+    kept, held_out = [], []
+    for m in log:
+        home = np.array([m.side_wins, m.side_draws, m.side_losses])
+        away = np.array([m.wins, m.draws, m.losses]) - home
+        parts = [rng.multivariate_hypergeometric(side, min(n // 2, side.sum())) for side in (home, away)]
+        kept.append(_match(m.a, str(m.b), *parts))
+        held_out.append(_match(m.a, str(m.b), home - parts[0], away - parts[1]))
+    return Tried(kept, held_out, parents)
+
+
+def _pairs(names) -> Iterator[tuple[str, str]]:
+    names = sorted(names)
+    return ((a, b) for i, a in enumerate(names) for b in names[i + 1 :])
+
+
+def predictions(ratings: Ratings, log: list[Match]) -> np.ndarray:
+    """(games, 3) for each kind of held-out game: expected score, log loss, number and score of those games."""
+    rows = []
+    for m in log:
+        gap = float(ratings.elo[ratings.index(m.a)] - ratings.elo[ratings.index(str(m.b))])
+        home = np.array([m.side_wins, m.side_draws, m.side_losses])
+        for counts, side in ((home, 1), (np.array([m.wins, m.draws, m.losses]) - home, -1)):
+            d = np.array((gap + side * ratings.side_advantage) / ELO)
+            told = davidson(d, np.log(max(ratings.draw, 1e-3)))
+            if n := counts.sum():
+                rows.append(
+                    (float(told.score), -float(counts @ told.log_likelihood) / n, n, (counts @ [1, 0.5, 0]) / n)
+                )
+    return np.array(rows)
+
+
+def calibration_error(rows: np.ndarray) -> float:
+    """Mean distance of score and prediction, over ten groups of equally many games in the order of predictions."""
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    groups = np.minimum(10 * np.cumsum(rows[:, 2]) // (rows[:, 2].sum() + 1), 9)
+    n, expected, scored = (np.bincount(groups.astype(int), weight, 10) for weight in
+                           (rows[:, 2], rows[:, 2] * rows[:, 0], rows[:, 2] * rows[:, 3]))  # fmt: skip
+    return float(np.abs(expected - scored).sum() / n.sum())
+
+
+def covered(ratings: Ratings, tried: Tried) -> list[bool]:
+    """Of each snapshot with a parent, whether the interval of their gap holds the truth."""
+    if tried.theta is None:
+        return []
+    deviation, found = np.sqrt(ratings.variances()), []
+    for child, parent in tried.parents.items():
+        i, j = ratings.index(child), ratings.index(parent)
+        gap = ELO * (tried.theta[child] - tried.theta[parent])
+        found.append(bool(abs(ratings.elo[i] - ratings.elo[j] - gap) < 1.96 * deviation[i, j]))
+    return found
+
+
+def compared(leagues: list[Tried]) -> dict[str, dict]:
+    told = {}
+    for name, prior in PRIORS.items():
+        rows, inside = [], []
+        for tried in leagues:
+            payoff = tally([replace(m, pairs=PairCounts()) for m in tried.log])
+            ratings = fit(payoff, prior=prior(payoff, tried.parents))
+            rows.append(predictions(ratings, tried.held_out))
+            inside += covered(ratings, tried)
+        every = np.concatenate(rows)
+        told[name] = {
+            "log_loss": round(float(np.average(every[:, 1], weights=every[:, 2])), 5),
+            "calibration_error": round(calibration_error(every), 4),
+            **({"parent_gap_covered": round(float(np.mean(inside)), 3)} if inside else {}),
+        }
+    return told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--leagues", type=int, default=60, help="simulated ones of each kind")
+    parser.add_argument("--store", help="a real league, thinned")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    rng = np.random.default_rng(0)
+    told: dict = {"commit": commit(), "leagues": args.leagues, "simulated": {}, "real": {}}
+    for name, (mean, deviation, n) in REGIMES.items():
+        told["simulated"][name] = compared([simulated(mean, deviation, n, rng) for _ in range(args.leagues)])
+    for n in (4, 16) if args.store else ():
+        told["real"][f"{n} games a row"] = compared([thinned(args.store, n, rng) for _ in range(20)])
+    text = json.dumps(told, indent=2)
+    print(text)
+    if args.out:
+        args.out.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""Davidson's model of wins, draws and losses: its likelihood over directed counts, and where that is greatest."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from matchmaking.payoff import Payoff
+from matchmaking.priors import Prior, even_log, even_variance
+
+
+class NotConverged(ArithmeticError):  # noqa: N818  (reads as what is wrong)
+    """Newton's method has not come to an end; `x` is how far it came."""
+
+    def __init__(self, x: np.ndarray, why: str):
+        super().__init__(f"the ratings' fit did not converge, though its objective is concave: {why}")
+        self.x = x
+
+
+class Outcome(NamedTuple):
+    """Davidson's model at some strength differences: chances and second moments of one game, arrays alike in shape."""
+
+    log_likelihood: np.ndarray  # (3, ...) of a win, a draw, a loss
+    score: np.ndarray  # expected score
+    draw: np.ndarray  # chance of a draw
+    score_variance: np.ndarray
+    covariance: np.ndarray  # of the score with a draw's indicator
+    draw_variance: np.ndarray
+
+
+def davidson(d: np.ndarray, log_nu: float) -> Outcome:
+    """Win, draw, loss as exp(d/2) : ν : exp(-d/2) (Davidson 1970), d in log odds; log_nu is -inf for no draws."""
+    logits = np.stack([d / 2, np.full_like(d, log_nu), -d / 2])
+    top = logits.max(0)
+    log_p = logits - (top + np.log(np.exp(logits - top).sum(0)))
+    win, draw, loss = np.exp(log_p)
+    # Written without differences of nearly equal numbers, so that certain results keep a positive variance.
+    variance = win * loss + draw * (win + loss) / 4
+    return Outcome(log_p, win + draw / 2, draw, variance, draw * (loss - win) / 2, draw * (win + loss))
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """The penalised likelihood; parameters are θ (P), γ and log ν, of which `free` are fitted.
+
+    Without virtual games against the average it only knows differences of strengths; `location` holds their sum at 0.
+    """
+
+    size: int
+    home: np.ndarray  # (D,) index of the one that played team 0
+    away: np.ndarray  # (D,)
+    counts: np.ndarray  # (D, 3) wins, draws, losses of home
+    prior: Prior
+    free: np.ndarray  # (P + 2,) bool
+
+    @classmethod
+    def of(cls, payoff: Payoff, prior: Prior, sides: bool = True) -> "Likelihood":
+        """The directed counts of a payoff. Without `sides` there is no side advantage γ.
+
+        γ is fitted only where it can be told from strength: not where strengths exist, a step apart for each game
+        between home and away, that would do the same. ν is fitted only where something was drawn.
+        """
+        P = len(payoff.names)
+        home = np.concatenate([payoff.first, payoff.second])
+        away = np.concatenate([payoff.second, payoff.first])
+        counts = np.concatenate([payoff.home, payoff.away[:, ::-1]]).astype(float)
+        met = counts.any(1)
+        told_apart = sides and not _is_potential(P, home[met], away[met])
+        free = np.append(np.ones(P, bool), np.array([told_apart, counts[:, 1].any()], bool))
+        return cls(P, home, away, counts, prior, free)
+
+    def linear(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """Strength differences d (D,) with the side advantage, and log ν."""
+        P = self.size
+        return x[self.home] - x[self.away] + x[P], float(x[P + 1]) if self.free[P + 1] else -math.inf
+
+    def evaluate(self, x: np.ndarray) -> tuple[float, Outcome]:
+        """Log-likelihood of the games and of the virtual games, and the model at x."""
+        terms = davidson(*self.linear(x))
+        virtual = self.prior.games @ even_log(self._virtual(x)) + self._ties @ even_log(self._from_even(x))
+        return self.of_games(terms) + float(virtual), terms
+
+    def of_games(self, terms: Outcome) -> float:
+        """Log-likelihood of the games alone."""
+        seen = self.counts.T > 0
+        return float((self.counts.T[seen] * terms.log_likelihood[seen]).sum())
+
+    def gradient(self, x: np.ndarray, terms: Outcome) -> np.ndarray:
+        """(P + 2,) derivative of the objective: score minus expected score, draws minus expected draws."""
+        residual = self.counts[:, 0] + self.counts[:, 1] / 2 - self._games * terms.score
+        gradient = np.zeros(self.size + 2)
+        gradient[:-2] = self._spread(self.home, self.away, residual)
+        gradient[:-2] -= self._spread(
+            self.prior.first, self.prior.second, self.prior.games * np.tanh(self._virtual(x) / 2) / 2
+        )
+        gradient[-2:] = residual.sum(), (self.counts[:, 1] - self._games * terms.draw).sum()
+        return np.where(self.free, gradient - self._ties * np.tanh(self._from_even(x) / 2) / 2, 0)
+
+    def information(self, x: np.ndarray, terms: Outcome, dispersion: np.ndarray | None = None) -> np.ndarray:
+        """(P + 2, P + 2) Fisher information; each pair's games times `dispersion` (D,) if given, the prior's once."""
+        P, n, prior = self.size, self._games if dispersion is None else self._games * dispersion, self.prior
+        strength, mixed = n * terms.score_variance, n * terms.covariance
+        virtual = prior.games * even_variance(self._virtual(x))
+        H = np.zeros((P + 2, P + 2))
+        for first, second, weight in ((self.home, self.away, strength), (prior.first, prior.second, virtual)):
+            H[:P, :P] += np.bincount(first * P + second, weight, P * P).reshape(P, P)
+        H[:P, :P] += H[:P, :P].T.copy()
+        diagonal = H[:P, :P].sum(1)
+        H[:P, :P] *= -1
+        for column, weight in ((P, strength), (P + 1, mixed)):
+            H[:P, column] = self._spread(self.home, self.away, weight)
+        H[P:, :P] = H[:P, P:].T
+        H[P:, P:] = [[strength.sum(), mixed.sum()], [mixed.sum(), (n * terms.draw_variance).sum()]]
+        H[~self.free] = H[:, ~self.free] = 0
+        H[np.diag_indices(P + 2)] += np.append(diagonal, [0, 0]) + self._ties * even_variance(self._from_even(x))
+        return H
+
+    @cached_property
+    def location(self) -> np.ndarray:
+        """(P + 2, P + 2) What is added to the information to solve with: parameters that nothing pins stay at 0."""
+        pinned = np.diag(np.where(self.free | (self._ties > 0), 0.0, 1.0))
+        if self.size and not self.prior.average:
+            pinned[:-2, :-2] += 1 / self.size
+        return pinned
+
+    @cached_property
+    def _games(self) -> np.ndarray:
+        return self.counts.sum(1)
+
+    @cached_property
+    def _ties(self) -> np.ndarray:
+        """(P + 2,) virtual games of each parameter alone, at even odds."""
+        return np.append(np.full(self.size, self.prior.average), [self.prior.even, self.prior.even])
+
+    def _from_even(self, x: np.ndarray) -> np.ndarray:
+        """Each parameter's distance from even odds; draws are even with not drawing at ν = 2 (chance ν/(2+ν))."""
+        return x - np.append(np.zeros(self.size + 1), math.log(2))
+
+    def _virtual(self, x: np.ndarray) -> np.ndarray:
+        return x[self.prior.first] - x[self.prior.second]
+
+    def _spread(self, plus: np.ndarray, minus: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        return np.bincount(plus, weight, self.size) - np.bincount(minus, weight, self.size)
+
+
+def maximise(problem: Likelihood, steps: int = 100) -> np.ndarray:
+    """Newton's method from even odds, each step halved until the concave objective does not fall.
+
+    It is Fisher scoring here, since Davidson's model is an exponential family. Where no maximum exists it ends far out,
+    where the information vanishes (`matchmaking.bounds` looks for that), or raises NotConverged.
+    """
+    x, decrement = np.zeros(problem.size + 2), math.inf
+    value, terms = problem.evaluate(x)
+    for _ in range(steps):
+        gradient = problem.gradient(x, terms)
+        try:
+            step = np.linalg.solve(problem.information(x, terms) + problem.location, gradient)
+        except np.linalg.LinAlgError as error:
+            raise NotConverged(x, str(error)) from error
+        decrement, floor = gradient @ step, value - 1e-12 * abs(value)
+        while (trial := problem.evaluate(x + step))[0] < floor:
+            step = step / 2
+        x, (value, terms) = x + step, trial
+        if decrement < 1e-16 * (1 + abs(value)) or np.abs(step).max() < 1e-10:
+            return x
+    # Beside millions of games on one side, rounding keeps what hangs on a few from coming closer than this: √decrement
+    # is the distance to the maximum in standard errors.
+    if decrement < 1e-6:
+        return x
+    raise NotConverged(x, f"{steps} Newton steps were not enough")
+
+
+def _is_potential(size: int, home: np.ndarray, away: np.ndarray) -> bool:
+    """Whether numbers exist that are 1 larger at home than away, for all the directed pairs."""
+    if np.isin(home * size + away, away * size + home).any():
+        return False
+    neighbours: list[list[tuple[int, int]]] = [[] for _ in range(size)]
+    for i, j in zip(home.tolist(), away.tolist(), strict=True):
+        neighbours[i].append((j, -1))
+        neighbours[j].append((i, 1))
+    level: dict[int, int] = {}
+    for start in range(size):
+        waiting = [] if start in level else [start]
+        level.setdefault(start, 0)
+        while waiting:
+            i = waiting.pop()
+            for j, step in neighbours[i]:
+                if j not in level:
+                    level[j] = level[i] + step
+                    waiting.append(j)
+                elif level[j] != level[i] + step:
+                    return False
+    return True
