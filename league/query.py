@@ -14,7 +14,7 @@ from league.measures import score_against_initial
 from matchmaking.ladder import Ladder
 from matchmaking.payoff import Score, score_interval
 from storage.errors import StorageError, UnknownName
-from storage.records import ArenaKey, CurvePoint, Match, Player, Snapshot
+from storage.records import RATED, ArenaKey, CurvePoint, Match, Player, Snapshot
 from storage.store import Store
 
 if TYPE_CHECKING:
@@ -86,11 +86,11 @@ class Open:
 
     def ladders(self) -> list[ArenaKey]:
         """The keys under which rating matches were played, those of the newest matches first."""
-        return ladders(self.store.matches(self.league, "rating"))
+        return ladders(self.store.matches(self.league, RATED))
 
     def ladder(self, key: ArenaKey | None) -> Ladder:
         """The ladder of a key, with a place for every snapshot; an empty one for None."""
-        log = [m for m in self.store.matches(self.league, "rating") if m.arena == key]
+        log = [m for m in self.store.matches(self.league, RATED) if m.arena == key]
         snapshots = self.store.snapshots(self.league)
         return Ladder([s.name for s in snapshots], log, [s.name for s in snapshots if s.initial])
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from matchmaking.ladder import Ladder
 from matchmaking.schedule import Schedule
-from storage.records import ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
+from storage.records import RATED, ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -29,8 +29,8 @@ class Standing:
     jobs: Sequence[Job] = ()  # that wait, are worked on or were set aside, oldest first
     arena: ArenaKey | None = None  # under which matches are rated now; None before the first
     ladder: Ladder = field(default_factory=lambda: Ladder(()))  # of the rating matches under it
-    read: int = 0  # the last rating match that was read, under whatever key
-    played: float = 0.0  # when that match was written, on the database's clock
+    read: int = 0  # the last rated match that was read, under whatever key
+    played: float = 0.0  # when the last of the league's own rating matches was written, on the database's clock
     batches: Batches | None = None  # None before the first
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
     revision: int = -1  # of the store when this was read
@@ -58,9 +58,10 @@ class Standing:
         jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
         snapshots = store.snapshots(league)
         before = before or cls()
-        new = store.matches(league, "rating", after=before.read)
+        new = store.matches(league, RATED, after=before.read)
         arena, ladder = _ladder(store, league, before, arena, snapshots, new)
-        read, played = (new[-1].id, new[-1].created) if new else (before.read, before.played)
+        read = new[-1].id if new else before.read
+        played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
         checkpoints = store.newest_checkpoints(league)
         return cls(
             store.players(league), snapshots, checkpoints, store.phases(league),
@@ -133,5 +134,5 @@ def _ladder(
     log, known = new, before.ladder
     if key != before.arena and before.read:  # another ladder than before: from the start
         read = new[-1].id if new else before.read
-        log, known = [m for m in store.matches(league, "rating") if m.id <= read], Ladder(())
+        log, known = [m for m in store.matches(league, RATED) if m.id <= read], Ladder(())
     return key, known.extended([m for m in log if m.arena == key], names, anchors)

@@ -39,8 +39,9 @@ TRIED = (
 )  # fmt: skip
 MATCHES = (
     "match", Column("a", whole=True), Column("b", whole=True), Column("result", "w-d-l", whole=True), "voids",
-    Column("score", decimals=3), "recorded",
+    Column("score", decimals=3), Column("recorded", "rec."),
 )  # fmt: skip
+PURPOSE = Column("purpose", "for", whole=True)  # where there are others than the league's own rating matches
 SNAPSHOTS = (
     Column("name", whole=True), "iteration", "steps", Column("seconds", "trained s", 1), "origin",
     Column("digest", "digest"),
@@ -111,7 +112,8 @@ def matches(args: list[str]) -> int:
     if options.format == "table":
         rows = [{**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}"} for row in rows]
     unlike = [key for key in ("arena", "engine") if len({row[key] for row in rows}) > 1]
-    print(_newest(rows, [*MATCHES, *(Column(key, whole=True) for key in unlike)], options, args, "matches"))
+    shown = list(MATCHES) if all(row["purpose"] == "rating" for row in rows) else [MATCHES[0], PURPOSE, *MATCHES[1:]]
+    print(_newest(rows, [*shown, *(Column(key, whole=True) for key in unlike)], options, args, "matches"))
     return 0
 
 
