@@ -23,6 +23,7 @@ COMMANDS = {
     "watch": ("league.commands.watch", "a recorded match in 3D"),
     "gate": ("league.commands.gate", "whether one snapshot is better than another, by a sequential test"),
     "play": ("league.commands.play", "an exhibition between two snapshots, recorded and not rated"),
+    "exploit": ("league.commands.exploit", "train a fresh attacker against one frozen policy: how much does it take?"),
     "sprt": ("league.commands.sprt", "a sequential test of who is better, for seed pairs that you have counted"),
     "pack": ("league.commands.moving", "a league, or all leagues of a store, as one file"),
     "unpack": ("league.commands.moving", "the leagues in such a file, added to a store"),

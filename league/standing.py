@@ -6,8 +6,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 from matchmaking.ladder import Ladder
-from matchmaking.schedule import Schedule
-from storage.records import RATED, ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
+from matchmaking.payoff import Score
+from matchmaking.schedule import Schedule, turn_score
+from storage.records import RATED, ArenaKey, Checkpoint, CurvePoint, Job, Match, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -33,6 +34,7 @@ class Standing:
     played: float = 0.0  # when the last of the league's own rating matches was written, on the database's clock
     batches: Batches | None = None  # None before the first
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
+    scores: Mapping[str, Score] = field(default_factory=dict)  # of learners whose turn a score ends: see turn_scores
     revision: int = -1  # of the store when this was read
 
     @classmethod
@@ -62,11 +64,12 @@ class Standing:
         arena, ladder = _ladder(store, league, before, arena, snapshots, new)
         read = new[-1].id if new else before.read
         played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
-        checkpoints = store.newest_checkpoints(league)
+        checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
         return cls(
-            store.players(league), snapshots, checkpoints, store.phases(league),
+            store.players(league), snapshots, checkpoints, phases,
             sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
-            _batches(before.batches, new), _rewards(store, checkpoints, recent), revision,
+            _batches(before.batches, new), _rewards(store, checkpoints, recent),
+            turn_scores(store, phases), revision,
         )  # fmt: skip
 
     def history(self, player: str) -> list[Snapshot]:
@@ -102,6 +105,25 @@ class Standing:
     def one_team(self) -> bool:
         """Whether all players are of one team, which then has nobody to play against."""
         return len({player.team for player in self.players}) == 1
+
+
+def turn_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
+    """How each learner whose turn a score may end has scored in it of late, by its learning curve.
+
+    Those are the episodes of training, over all worlds from which it learns: they are there after each iteration, in
+    the store with the checkpoint that they led to, and the same on every machine where training is.
+    """
+    return {
+        learner: turn_score(results(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
+        for phase in phases.values()
+        if "score" in phase.until
+        for learner in phase.learners
+    }
+
+
+def results(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
+    """Episodes that ended in each iteration, and their mean score, where any did."""
+    return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
 
 
 def _rewards(store: Store, checkpoints: Mapping[str, Checkpoint], recent: int) -> dict[str, float]:
