@@ -86,7 +86,7 @@ def bout(opened: Open, a: str, b: str | None) -> Bout:
     players = opened.store.players(opened.league)
     one_team = len({p.team for p in players}) == 1
     if one_team != (b is None):
-        why = "has one team, so there is nobody to meet: name one snapshot"
+        why = "has one team, in which no two meet; `league play` takes one snapshot there"
         raise ConfigError((), f"league {opened.league} {why if one_team else 'has several teams: name two snapshots'}")
     if b is not None and not can_meet(known[a], known[b], players):
         raise ConfigError(

@@ -51,7 +51,6 @@ def _refuse(found: Bout) -> None:
     there: it would tell whose side is the easier one.
     """
     a, b = found.pair
-    assert found.b is not None or b is None
     if found.b is None or found.a.digest == found.b.digest:
         raise ConfigError((), f"{a} and {b} are the same policy: name two that differ")
     if not found.swaps:

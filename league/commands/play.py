@@ -42,14 +42,14 @@ def play(args: list[str]) -> int:
         found = bout(opened, options.a, options.b)
         matches = exhibition(found, options.episodes, recordings)
     wins, draws, losses, voids = (sum(getattr(m, n) for m in matches) for n in ("wins", "draws", "losses", "voids"))
-    games = wins + draws + losses
-    low, high = score_interval(wins, draws, losses)
-    told = f"{options.a} scores {score_text(Score((wins + draws / 2) / games, float(low), float(high), games))}" * bool(
-        games
-    )
+    games, told = wins + draws + losses, ""
+    if games:
+        low, high = score_interval(wins, draws, losses)
+        told = score_text(Score((wins + draws / 2) / games, float(low), float(high), games))
+        told = f" {options.a} scores {told}."
     against = f" against {options.b}" if options.b else ""
     counts = f"{wins} won, {draws} drawn, {losses} lost" + (f", {voids} void" if voids else "")
-    print(f"Exhibition of {options.a}{against}: {counts}. {told}".rstrip())
+    print(f"Exhibition of {options.a}{against}: {counts}.{told}")
     for match in matches:
         if match.recording is not None:
             print(f"  league watch {match.id}")
