@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -27,12 +27,14 @@ Seating = tuple[Snapshot, ...]  # who sits in each team
 class Referee:
     """One process's compiled match: 2 × `pairings` groups of worlds, two for each pair of snapshots."""
 
-    def __init__(self, config: Config, arena: Arena, league: str):
+    def __init__(self, config: Config, arena: Arena, league: str, recorded: tuple[int, ...] | None = None):
+        """Compile for these settings; `recorded` are the worlds to keep frames of, by default one of each pairing."""
         self.config, self.arena, self.league = config, arena, league
         self.pairings = config.rating.pairings
         self.each = config.rating.worlds // (2 * self.pairings)  # episodes per group
         visible = config.rating.record and bool(arena.scene.agents)  # a game without bodies has nothing to show
-        self.recorded = tuple(range(0, config.rating.worlds, 2 * self.each)) if visible else ()
+        wanted = tuple(range(0, config.rating.worlds, 2 * self.each)) if recorded is None else recorded
+        self.recorded = wanted if visible else ()
         self.seconds = 0.0  # of the device, for the batch played last
         self._play = Compiled(make_play(arena, self.recorded), arena)
         self._policies: OrderedDict[str, list[Policy]] = OrderedDict()  # by digest, those used last at the end
@@ -52,11 +54,8 @@ class Referee:
         snapshots = {s.name: s for s in store.snapshots(self.league)}
         room = [task.pairs[i % len(task.pairs)] for i in range(self.pairings)]
         met = [(_known(snapshots, a), None if b is None else _known(snapshots, b)) for a, b in room]
-        seats = [seating for a, b in met for seating in self._seatings(a, b)]
-        teams = [[self._thawed(store, seating[t]) for seating in seats] for t in range(len(self.arena.teams))]
-        crews = seat(self.arena.teams, teams, self._shapes)
-        self._remember(teams)
-        games = self._played(crews, self._keys(seats, task.seed))
+        seats = [seating for a, b in met for seating in self.seatings(a, b)]
+        games = self.games(store, seats, task.seed)
         matches = []
         for i, (a, b) in enumerate(met):
             kept = None
@@ -66,6 +65,13 @@ class Referee:
             matches.append(self._count(games, i, a, b, seats, task, kept))
         return matches
 
+    def games(self, store: Store, seats: Sequence[Seating], seed: int) -> Games:
+        """An episode in every world, by who sits in which team of each group of worlds; as the host has them."""
+        teams = [[self._thawed(store, seating[t]) for seating in seats] for t in range(len(self.arena.teams))]
+        crews = seat(self.arena.teams, teams, self._shapes)
+        self._remember(teams)
+        return self._played(crews, self._keys(seats, seed))
+
     def _played(self, crews: dict[str, Crew], keys: jax.Array) -> Games:
         """The games, on the host; notes how much of the device they took."""
         play = self._play.ready(crews, keys)
@@ -74,7 +80,7 @@ class Referee:
         self.seconds = used(jax.default_backend()) - began
         return games
 
-    def _seatings(self, a: Snapshot, b: Snapshot | None) -> tuple[Seating, Seating]:
+    def seatings(self, a: Snapshot, b: Snapshot | None) -> tuple[Seating, Seating]:
         """Who sits where in the pair's two groups: sides swapped if both rosters allow it, else twice the same."""
         rosters = tuple(team.roster for team in self.arena.teams)
         orders: list[Seating] = [(a,)] if b is None else [(a, b), (b, a)]
@@ -115,33 +121,49 @@ class Referee:
         recording: str | None,
     ) -> Match:  # fmt: skip
         """Pair `i` as a match row, counted for A."""
-        results, valid, broke = [], [], [0, 0]  # of the two groups: A's wins minus losses, (each,); A's and B's voids
-        for k in (2 * i, 2 * i + 1):
-            worlds = slice(k * self.each, (k + 1) * self.each)
-            at = 0 if seats[k][0] is a else 1
-            if b is None:
-                results.append(np.where(games.score[worlds, 0] > 0.5, 1, np.where(games.score[worlds, 0] < 0.5, -1, 0)))
-            else:
-                results.append(np.sign(games.score[worlds, at] - games.score[worlds, 1 - at]))
-            valid.append(~games.void[worlds])
-            alone = games.void[worlds, None] & games.culprits[worlds] & (games.culprits[worlds].sum(1) == 1)[:, None]
-            broke[0] += int(alone[:, at].sum())
-            broke[1] += 0 if b is None else int(alone[:, 1 - at].sum())
-        at_home = [valid[j] & (seats[2 * i + j][0] is a) for j in range(2)]
-        result, home = np.concatenate(results), np.concatenate(at_home)
-        ok = np.concatenate(valid)
+        at = [0 if seats[k][0] is a else 1 for k in (2 * i, 2 * i + 1)]
+        worlds = np.arange(2 * i * self.each, (2 * i + 2) * self.each)
+        tally = tallied(games, worlds, np.repeat(at, self.each))
         pairs = PairCounts()
         if _swapped(seats, i):
-            both = valid[0] & valid[1]
-            points = (results[0] + results[1])[both]  # -2, -1, 0, 1, 2
+            both = tally.valid.reshape(2, -1).all(0)
+            points = tally.results.reshape(2, -1).sum(0)[both]  # -2, -1, 0, 1, 2
             pairs = PairCounts(*(int((points == p).sum()) for p in (-2, -1, 0, 1, 2)))
-        wins, draws, losses = (int((ok & (result == r)).sum()) for r in (1, 0, -1))
-        side_wins, side_draws, side_losses = (int((home & (result == r)).sum()) for r in (1, 0, -1))
-        steps = int(games.decisions[2 * i * self.each : (2 * i + 2) * self.each].sum())
         return Match(
-            self.league, self.key, a.name, None if b is None else b.name, wins, draws, losses, int((~ok).sum()),
-            side_wins, side_draws, side_losses, pairs, task.seed, steps, task.purpose, recording, *broke,
+            self.league, self.key, a.name, None if b is None else b.name, *tally.counts, tally.voids, *tally.home,
+            pairs, task.seed, tally.steps, task.purpose, recording, *tally.broke,
         )  # fmt: skip
+
+
+class Tally(NamedTuple):
+    """How some episodes ended for A. In an arena of one team a win is a success."""
+
+    results: np.ndarray  # (n,) 1, 0, -1
+    valid: np.ndarray  # (n,) whether physics stayed sound
+    counts: tuple[int, int, int]  # wins, draws, losses of the valid ones
+    home: tuple[int, int, int]  # the same where A played team 0
+    voids: int
+    broke: tuple[int, int]  # void ones in which only A's robots went bad, only B's
+    steps: int
+
+
+def tallied(games: Games, worlds: np.ndarray, at: np.ndarray) -> Tally:
+    """Count the episodes of these worlds (n,) for A, who sat in team `at` (n,) of each."""
+    score, valid = np.asarray(games.score)[worlds], ~np.asarray(games.void)[worlds]
+    each, culprits = np.arange(len(worlds)), np.asarray(games.culprits)[worlds]
+    alone = (~valid & (culprits.sum(1) == 1))[:, None] & culprits
+    if score.shape[1] == 1:
+        results, broke = np.sign(score[:, 0] - 0.5).astype(int), (int(alone.sum()), 0)
+    else:
+        results = np.sign(score[each, at] - score[each, 1 - at]).astype(int)
+        broke = int(alone[each, at].sum()), int(alone[each, 1 - at].sum())
+
+    def counted(which: np.ndarray) -> tuple[int, int, int]:
+        wins, draws, losses = (int((which & (results == r)).sum()) for r in (1, 0, -1))
+        return wins, draws, losses
+
+    counts, home = counted(valid), counted(valid & (at == 0))
+    return Tally(results, valid, counts, home, int((~valid).sum()), broke, int(games.decisions[worlds].sum()))
 
 
 def _swapped(seats: Sequence[Seating], i: int) -> bool:

@@ -100,7 +100,8 @@ def _first_turn(standing: Standing, group: str, players: Sequence[Player]) -> Tr
 def _turn(config: Config, standing: Standing, group: str, players: Sequence[Player], phase: Phase) -> TrainingTurn:
     learners = [p for p in players if p.name in phase.learners and p.paused is None]
     teams = 1 + max(p.team for p in standing.players)
-    seats = _seats(players, teams)
+    victim = config.training.schedule.victim
+    seats = _seats(players if victim is None else learners, teams)  # a victim's place is nobody else's
     at = {p.name: standing.checkpoints[p.name] for p in players}
     return TrainingTurn(
         group,
@@ -133,7 +134,8 @@ def _iterations(config: Config, standing: Standing, group: str, learners: Sequen
 
 def _learnt(standing: Standing, players: Sequence[Player]) -> dict[str, Learnt]:
     at = {p.name: standing.checkpoints[p.name] for p in players}
-    return {name: Learnt(checkpoint.iteration, checkpoint.step) for name, checkpoint in at.items()}
+    low = {name: score.low for name, score in standing.scores.items()}
+    return {name: Learnt(each.iteration, each.step, low.get(name, 0.0)) for name, each in at.items()}
 
 
 def _past(
@@ -149,7 +151,7 @@ def _past(
     rng = np.random.default_rng([config.seed, iteration, crc32(learner.name.encode())])
     lineups = [[""] * len(seats) for _ in range(past)]
     for team in range(len(seats)):
-        pool = _pool(standing, team)
+        pool = _pool(config, standing, team)
         if team == learner.team or not pool:
             continue
         weights = opponents.weights(len(pool), _scores(config, standing, learner, pool))
@@ -158,8 +160,10 @@ def _past(
     return tuple(map(tuple, lineups))
 
 
-def _pool(standing: Standing, team: int) -> list[Snapshot]:
-    """The snapshots of a team's players, oldest first."""
+def _pool(config: Config, standing: Standing, team: int) -> list[Snapshot]:
+    """The snapshots of a team's players, oldest first; the victim alone where the schedule has one."""
+    if config.training.schedule.victim is not None:
+        return [s for s in standing.snapshots if s.name == config.training.schedule.victim]
     own = {p.name for p in standing.players if p.team == team}
     return sorted((s for s in standing.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
 

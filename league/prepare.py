@@ -161,6 +161,7 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     from league.query import Open
 
     players = players_of(config, arena)
+    _examine_victim(store, config, arena)
     if config.league in {league.name for league in store.leagues()}:
         _examine_rosters(store, config, arena, players)
         examine_checkpoints(store, config, arena, players)
@@ -177,6 +178,30 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     add_scripts(store, config.league, arena, _scripts(config, arena))
     if config.rating.trained:
         bring_in_trained(Open(store, config.league), arena.name)
+
+
+def _examine_victim(store: Store, config: Config, arena: "Arena") -> None:
+    """Whom the learner shall meet must be there, and fit every other team. A new league has scripts alone."""
+    victim, learner = config.training.schedule.victim, config.training.schedule.learner
+    if victim is None:
+        return
+    key = ("training", "schedule", "victim")
+    others = [team for i, team in enumerate(arena.teams) if i != learner]
+    if not others:
+        raise refuse(key, victim, f"{arena.name} has one team, and nobody meets another there")
+    there = config.league in {league.name for league in store.leagues()}
+    rosters = {s.name: s.roster for s in store.snapshots(config.league)} if there else {}
+    if not there:
+        same = len({team.roster for team in arena.teams}) == 1
+        titles = {(n if same else f"{n}:{t.name}"): t.roster for t in arena.teams for n in arena.playable(t)}
+        wanted = _scripts(config, arena)
+        rosters = {title: roster for title, roster in titles.items() if title.partition(":")[0] in wanted}
+    if victim not in rosters:
+        known = ", ".join(sorted(rosters)) or "none"
+        raise refuse(key, victim, f"league {config.league} has no such snapshot; there are: {known}")
+    for team in others:
+        if team.roster != rosters[victim]:
+            raise refuse(key, victim, f"its roster is {rosters[victim]}, and {team.name}'s is {team.roster}")
 
 
 def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:

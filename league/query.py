@@ -12,7 +12,7 @@ from league.rated import VOID_LIMIT, Row, chosen, moment, rating_rows
 from matchmaking.ladder import Ladder, Pool
 from matchmaking.payoff import Score
 from storage.errors import StorageError, UnknownName
-from storage.records import ArenaKey, CurvePoint, Match, Player, Snapshot
+from storage.records import RATED, ArenaKey, CurvePoint, Match, Player, Snapshot
 from storage.store import Store
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Open:
         self, arena: str | None = None, engine: str | None = None, as_of: float | None = None, all: bool = False
     ) -> "Shown":
         """The ladder that fits, or all that do, as of a time on the database's clock. Raises StorageError for none."""
-        totals, players = self.store.totals(self.league, "rating", as_of), self.store.players(self.league)
+        totals, players = self.store.totals(self.league, RATED, as_of), self.store.players(self.league)
         snapshots = [s for s in self.store.snapshots(self.league) if as_of is None or s.created <= as_of]
         pool, keys = Pool.of(snapshots, players), list(totals)
         first = choose(keys, arena, engine)
@@ -121,12 +121,12 @@ class Open:
 
     def ladders(self) -> list[ArenaKey]:
         """The keys under which rating matches were played, those of the newest matches first."""
-        return list(self.store.totals(self.league, "rating"))
+        return list(self.store.totals(self.league, RATED))
 
     def ladder(self, key: ArenaKey | None) -> Ladder:
         """The ladder of a key, with a place for every snapshot; an empty one for None."""
         pool = Pool.of(self.store.snapshots(self.league), self.store.players(self.league))
-        log = self.store.totals(self.league, "rating").get(key) if key is not None else None
+        log = self.store.totals(self.league, RATED).get(key) if key is not None else None
         return Ladder(pool, log or ())
 
     def void_limit(self) -> float:

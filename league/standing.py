@@ -6,8 +6,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 from matchmaking.ladder import Ladder, Pool
-from matchmaking.schedule import Schedule
-from storage.records import ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
+from matchmaking.payoff import Score
+from matchmaking.schedule import Schedule, turn_score
+from storage.records import RATED, ArenaKey, Checkpoint, CurvePoint, Job, Match, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -29,10 +30,11 @@ class Standing:
     jobs: Sequence[Job] = ()  # that wait, are worked on or were set aside, oldest first
     arena: ArenaKey | None = None  # under which matches are rated now; None before the first
     ladder: Ladder = field(default_factory=lambda: Ladder(()))  # of the rating matches under it
-    read: int = 0  # the last rating match that was read, under whatever key
-    played: float = 0.0  # when that match was written, on the database's clock
+    read: int = 0  # the last rated match that was read, under whatever key
+    played: float = 0.0  # when the last of the league's own rating matches was written, on the database's clock
     batches: Batches | None = None  # None before the first
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
+    scores: Mapping[str, Score] = field(default_factory=dict)  # of learners whose turn a score ends: see turn_scores
     revision: int = -1  # of the store when this was read
 
     @classmethod
@@ -58,14 +60,16 @@ class Standing:
         jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
         players, snapshots = store.players(league), store.snapshots(league)
         before = before or cls()
-        new = store.matches(league, "rating", after=before.read)
+        new = store.matches(league, RATED, after=before.read)
         arena, ladder = _ladder(store, league, before, arena, Pool.of(snapshots, players), new)
-        read, played = (new[-1].id, new[-1].created) if new else (before.read, before.played)
-        checkpoints = store.newest_checkpoints(league)
+        read = new[-1].id if new else before.read
+        played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
+        checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
         return cls(
-            players, snapshots, checkpoints, store.phases(league),
+            players, snapshots, checkpoints, phases,
             sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
-            _batches(before.batches, new), _rewards(store, checkpoints, recent), revision,
+            _batches(before.batches, new), _rewards(store, checkpoints, recent),
+            turn_scores(store, phases), revision,
         )  # fmt: skip
 
     def history(self, player: str) -> list[Snapshot]:
@@ -103,6 +107,25 @@ class Standing:
         return len({player.team for player in self.players}) == 1
 
 
+def turn_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
+    """How each learner whose turn a score may end has scored in it of late, by its learning curve.
+
+    Those are the episodes of training, over all worlds from which it learns: they are there after each iteration, in
+    the store with the checkpoint that they led to, and the same on every machine where training is.
+    """
+    return {
+        learner: turn_score(results(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
+        for phase in phases.values()
+        if "score" in phase.until
+        for learner in phase.learners
+    }
+
+
+def results(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
+    """Episodes that ended in each iteration, and their mean score, where any did."""
+    return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
+
+
 def _rewards(store: Store, checkpoints: Mapping[str, Checkpoint], recent: int) -> dict[str, float]:
     """Reward per episode of each player over its last `recent` iterations, of those that have so many and ended any."""
     found = {}
@@ -131,5 +154,5 @@ def _ladder(
     log, known = new, before.ladder
     if key != before.arena and before.read:  # another ladder than before: from the start
         read = new[-1].id if new else before.read
-        log, known = [m for m in store.matches(league, "rating") if m.id <= read], Ladder(())
+        log, known = [m for m in store.matches(league, RATED) if m.id <= read], Ladder(())
     return key, known.extended([m for m in log if m.arena == key], pool)

@@ -32,7 +32,8 @@ from league.jobs import TrainingTurn
 from league.learners import beside, new_learner, others
 from league.lineup import Lineup
 from league.policies import freeze
-from matchmaking.schedule import Learnt, next_due, remaining
+from league.standing import results
+from matchmaking.schedule import Learnt, next_due, remaining, turn_score
 from storage import arrays
 from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Phase, Player, Snapshot
 from storage.store import Store
@@ -85,6 +86,8 @@ class Trainer:
         self._points: list[CurvePoint] = []
         self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
         self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
+        self._earlier: list[CurvePoint] = []  # of the phase's learner, from its turns before this one
+        self._handed_over = False  # whether the turn ended its learner's turn of leapfrog
         self.interrupted = False  # whether the last turn was told to stop before its end
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
@@ -110,6 +113,9 @@ class Trainer:
             self._begin(store, turn)
             compare(self.learners)
             return
+        if phase is not None and "score" in phase.until:
+            (learner,) = phase.learners
+            self._earlier = store.curves(phase.league, learner, after=phase.since.get(learner, 0))
         lineup = self._lineup(store, turn)
         worlds, collect = self._prepare(lineup, turn)
         began, before, steps = time.monotonic(), dict(self.counters), 0
@@ -129,8 +135,11 @@ class Trainer:
                 self.interrupted = True
                 break
         self._worlds[turn.group] = worlds, lineup.seated
-        if phase is not None and self.config.training.schedule.kind == "ladder" and self._is_over(phase):
-            self._copy(store, turn, phase)
+        if phase is not None and self._is_over(phase):
+            kind = self.config.training.schedule.kind
+            self._handed_over = kind == "leapfrog"
+            if kind == "ladder":
+                self._copy(store, turn, phase)
         compare(self.learners)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
@@ -289,6 +298,7 @@ class Trainer:
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
         self._points, self._parents, self._copied = [], {}, ()
+        self._earlier, self._handed_over = [], False
         self._at = self.together.first(self._at)
         league = next(iter(self.players.values())).league
         self.players = {player.name: player for player in store.players(league)}  # one may have been paused
@@ -350,8 +360,14 @@ class Trainer:
 
     def _is_over(self, phase: Phase | None) -> bool:
         """Whether the phase's learner has learnt as much as the phase asks for; the plan finds the same afterwards."""
+        if phase is None:
+            return False
         at = {name: Learnt(c.iteration, c.steps) for name, c in self.counters.items()}
-        return phase is not None and remaining(phase, at) == 0
+        if "score" in phase.until:
+            (learner,) = phase.learners
+            low = turn_score(results([*self._earlier, *self._points])).low
+            at[learner] = at[learner]._replace(low=low)
+        return remaining(phase, at) == 0
 
     def _spent(self, turn: TrainingTurn) -> bool:
         """Whether the group has had its budget; `plan.spent` says the same of what the store holds."""
@@ -361,7 +377,10 @@ class Trainer:
         return self.config.budget.spent(seconds, total([c.steps for c in at]))
 
     def _snapshot(self, store: Store, player: Player, key: ArenaKey, turn: TrainingTurn) -> list[Snapshot]:
-        """The player frozen as it is now, if that is due: at the start, in between, and when the budget is spent."""
+        """The player frozen as it is now, if that is due: at the start, in between, when the budget is spent.
+
+        And when its turn of leapfrog ends.
+        """
         kept = store.snapshots(player.league, player.name)
         if kept and not self._snapshot_due(player, kept[-1], turn):
             return []
@@ -383,7 +402,8 @@ class Trainer:
         on_axis = now.iteration >= next_due(last.iteration, self.config.training.snapshots_per_doubling)
         marks = () if self.config.deterministic else self.config.rating.milestone_seconds
         passed = any(last.seconds < mark <= now.seconds for mark in marks)
-        return on_axis or passed or self._spent(turn)
+        hands_over = self._handed_over and player.name in turn.learners
+        return on_axis or passed or hands_over or self._spent(turn)
 
 
 def random_key(seed: int, purpose: str, number: int) -> Array:

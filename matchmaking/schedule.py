@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from matchmaking.ladder import Ladder
-from matchmaking.payoff import Payoff
+from matchmaking.payoff import Payoff, Score, score_interval
 from matchmaking.ratings import ELO
 from storage.records import Phase
 
@@ -30,8 +30,16 @@ class Schedule:
     """The same in environment steps (decisions × worlds), as HARL counts: it ends after the first iteration by which
     the team has learnt in it from so many (none: by `period`)."""
 
+    until_score: float | None = None
+    """Leapfrog: a team's turn also ends as soon as it surely scores more than this (none: only by period): when the
+    95 % interval of its score in training begins above it, over the turn's newest iterations of 500 episodes in all."""
+
     learner: int = 0
     """The team that learns first (leapfrog) or alone (ladder, frozen), counted from 0."""
+
+    victim: str | None = None
+    """Frozen: the learner meets this snapshot alone, a player's own, an imported one or a script (none: the other
+    teams' players as they stand)."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -40,6 +48,14 @@ class Schedule:
             raise ValueError(f"period is {self.period}; a turn lasts 1 iteration or more")
         if self.period_steps is not None and self.period_steps < 1:
             raise ValueError(f"period_steps is {self.period_steps}; a turn lasts 1 environment step or more")
+        if self.until_score is not None and not 0 < self.until_score < 1:
+            raise ValueError(f"until_score is {self.until_score}; a score lies between 0 and 1, e.g. 0.7")
+        if self.until_score is not None and self.kind != "leapfrog":
+            raise ValueError(f"until_score ends a turn of leapfrog, and kind is {self.kind!r}")
+        if self.victim is not None and self.kind != "frozen":
+            raise ValueError(
+                f"victim is {self.victim}; only where kind is 'frozen' somebody meets it, not {self.kind!r}"
+            )
         if self.learner < 0:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
 
@@ -57,6 +73,29 @@ class Learnt(NamedTuple):
 
     iterations: int = 0
     steps: int = 0  # environment steps: decisions × worlds
+    low: float = 0.0  # the lower end of its score's interval in the turn that is under way, see `turn_score`
+
+
+WINDOW = 500  # episodes: a score of 0.7 over so many is known to ± 0.04
+
+
+def turn_score(results: Sequence[tuple[float, float]]) -> Score:
+    """A learner's score of late, with its 95 % interval, by the episodes that ended and their mean score.
+
+    Args:
+        results: (episodes, score) of each iteration of its turn, oldest first. The newest of them that have WINDOW
+            episodes in all are looked at, for the policy of before is another; all where there are fewer.
+
+    Every game counts as decisive, which makes the interval wider where some are drawn. It is one of a single look: a
+    turn in which it is looked at after each iteration ends a little early now and then, as early as its luck has it.
+    """
+    episodes = points = 0.0
+    for number, score in reversed(results):
+        if episodes >= WINDOW:
+            break
+        episodes, points = episodes + number, points + number * score
+    low, high = score_interval(points, 0, episodes - points)
+    return Score(points / episodes if episodes else math.nan, float(low), float(high), round(episodes))
 
 
 def first_phase(
@@ -94,12 +133,14 @@ def next_phase(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt
 def remaining(phase: Phase, learnt: Mapping[str, Learnt]) -> int | None:
     """How much the phase's one learner still has to learn, by its own counts; None where nothing is counted.
 
-    In environment steps where `phase.until` names a step, else in iterations.
+    In environment steps where `phase.until` names a step, else in iterations; nothing once it scores what is asked.
     """
     if not phase.until:
         return None
     (learner,) = phase.learners
     now = learnt.get(learner, Learnt())
+    if now.low > phase.until.get("score", 1.0):
+        return 0
     if "step" in phase.until:
         return max(0, phase.until["step"] - now.steps)
     return max(0, phase.since.get(learner, 0) + phase.until["iterations"] - now.iterations)
@@ -147,11 +188,15 @@ def _phase(
     return Phase(league, group, number, learners, {name: each.iterations for name, each in learnt.items()}, until)
 
 
-def _until(schedule: Schedule, start: Learnt) -> dict[str, int]:
-    """What ends a turn that begins now: so many iterations after `start`, or the step that its player then reaches."""
+def _until(schedule: Schedule, start: Learnt) -> dict[str, float]:
+    """What ends a turn that begins now: so many iterations after `start`, or the step that its player then reaches.
+
+    And, where the schedule has one, a score, whichever comes first.
+    """
+    score = {} if schedule.until_score is None else {"score": schedule.until_score}
     if schedule.period_steps is None:
-        return {"iterations": schedule.period}
-    return {"step": start.steps + schedule.period_steps}
+        return {"iterations": schedule.period, **score}
+    return {"step": start.steps + schedule.period_steps, **score}
 
 
 def _next_team(start: int, able: Mapping[int, str]) -> int:

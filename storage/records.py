@@ -100,6 +100,12 @@ class Snapshot:
     created: float = 0.0
 
 
+Purpose = Literal["rating", "gate", "exploit", "exhibition"]
+"""What a match was played for: the league's own rating, a sequential test, a new attacker's measure, or to be seen."""
+RATED: tuple[Purpose, ...] = ("rating", "gate", "exploit")
+"""Those that count for ratings: their pairs were told before they began, and every game of them is kept."""
+
+
 class PairCounts(NamedTuple):
     """How seed pairs ended for A: two games from one seed, sides swapped, scored together 0, ½, 1, 1½ or 2."""
 

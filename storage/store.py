@@ -219,13 +219,14 @@ class Store:
 
     # Results
 
-    def matches(self, league: str, purpose: str | None = None, after: int = 0) -> list[Match]:
-        """The league's match log in the order of commits, or the part played for one purpose or after a match.
+    def matches(self, league: str, purpose: str | Sequence[str] | None = None, after: int = 0) -> list[Match]:
+        """The league's match log in the order of commits, or the part played for some purposes or after a match.
 
         Who has read up to a match and reads on after its id misses nothing: a later commit has a larger id.
         """
         c = t.matches.c
-        chosen = [c.purpose == purpose] if purpose is not None else []
+        wanted = (purpose,) if isinstance(purpose, str) else purpose
+        chosen = [c.purpose.in_(wanted)] if wanted is not None else []
         return self._db.records(Match, t.matches, c.league == league, c.id > after, *chosen, order=[c.id])
 
     def totals(self, league: str, purpose: str | Sequence[str], until: float | None = None) -> dict[ArenaKey, Totals]:
@@ -274,6 +275,24 @@ class Store:
             if not (begun or new):
                 db.rollback()
             return new
+
+    def file(self, done: Job, matches: Sequence[Match]) -> bool:
+        """Add matches that were played without a lease, and the job that they are, as done; both, or nothing.
+
+        False where the league has that job's key already: somebody else has filed, or is to play, the same games.
+        Raises UnknownName, StorageError where a row is of another league or names a blob or snapshot that is not there.
+        """
+        self._require_blobs(match.recording for match in matches if match.recording is not None)
+        if strange := next((match.league for match in matches if match.league != done.league), None):
+            raise StorageError(f"Job {done.key} of league {done.league!r} has a result for league {strange!r}.")
+        with self._db.changing([done.league]) as db:
+            if not rows.add_jobs(db, [done]):
+                db.rollback()
+                return False
+            mine = (t.jobs.c.league == done.league, t.jobs.c.key == done.key)
+            db.execute(sa.update(t.jobs).where(*mine).values(state="done"))
+            rows.add_matches(db, done.league, matches)
+            return True
 
     def jobs(self, league: str, state: JobState | None = None, kind: str | None = None) -> list[Job]:
         """The league's jobs, or those in one state or of one kind, oldest first."""

@@ -10,9 +10,10 @@ from league.commands.tables import clock
 from league.config.sections import Rating
 from league.course import course
 from league.liveness import leader, processes
-from league.query import Open
+from league.query import Open, score_text
 from league.share import words
-from league.standing import Standing
+from league.standing import Standing, turn_scores
+from matchmaking.payoff import Score
 from matchmaking.schedule import Kind, Learnt, Schedule, remaining
 from storage.records import Checkpoint, Job, Phase, Player, Worker
 from storage.store import Store
@@ -40,14 +41,14 @@ def report(opened: Open, whole_errors: bool = False) -> str:
     working = [worker for worker in processes(store, league) if worker.kinds != "manager"]
     jobs = store.jobs(league)
     counts = {state: sum(job.state == state for job in jobs) for state in STATES}
-    runs = _running(store, league, working)
+    runs, scores = _running(store, league, working), turn_scores(store, phases)
     parts = [
         *_listed("Curriculum", _stages(store, league)),
         f"League {league}: {runs or 'stopped'}\n"
         f"Jobs: {', '.join(f'{n:,} {STATES[state]}' for state, n in counts.items())}",
         render([_player(p, checkpoints.get(p.name), phases.get(p.group), bool(runs)) for p in players], PLAYERS),
         _share(opened, players, checkpoints),
-        *_listed("Phases", [_phase(phase, checkpoints) for phase in phases.values() if phase.learners]),
+        *_listed("Phases", [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners]),
         *_listed("Paused", [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None]),
         *_listed("Set aside", [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"]),
     ]
@@ -90,9 +91,10 @@ def _player(player: Player, at: Checkpoint | None, phase: Phase | None, runs: bo
     }  # fmt: skip
 
 
-def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint]) -> str:
+def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint], scores: Mapping[str, Score]) -> str:
     """Who learns, since when, and what will end it."""
-    left = remaining(phase, {name: Learnt(at.iteration, at.step) for name, at in checkpoints.items()})
+    at = {name: Learnt(at.iteration, at.step) for name, at in checkpoints.items()}
+    left = remaining(phase, at)
     since = ", ".join(dict.fromkeys(str(phase.since.get(name, 0)) for name in phase.learners))
     if left is None:
         end = "nothing ends it"
@@ -100,6 +102,10 @@ def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint]) -> str:
         end = f"it ends at step {phase.until['step']:,}, {left:,} are left"
     else:
         end = f"it ends after {phase.until['iterations']} iterations, {left} are left"
+    if "score" in phase.until:
+        score = scores[phase.learners[0]]
+        now = f"it scores {score_text(score)}" if score.games else "no episode has ended yet"
+        end += f", or before that when it surely scores above {100 * phase.until['score']:g} %: {now}"
     verb = "learns" if len(phase.learners) == 1 else "learn"
     return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
 

@@ -27,7 +27,7 @@ from league.rated import (
 from matchmaking.ladder import ANCHOR_ELO, UNKNOWN, Ladder
 from matchmaking.payoff import quantile
 from matchmaking.ticker import K, ticker
-from storage.records import ArenaKey, Match, Player, Snapshot
+from storage.records import RATED, ArenaKey, Match, Player, Snapshot
 
 TICKING = (
     f"The ticker is a sequential Elo (K = {K:g} a game) over the log: it depends on the order of the games and has no"
@@ -40,7 +40,7 @@ ABOUT = (
     Column("trained", whole=True), Column("role", whole=True), Column("player", whole=True),
     Column("last", "last played", whole=True),
 )  # fmt: skip
-RATED = (
+LADDER = (
     Column("rank", "", 0), Column("name", "snapshot", whole=True), Column("elo", decimals=0), Column("error", "±", 0),
     "games", Column("win_rate", "win rate", 3), Column("vs_initial", "vs initial", 3),
     Column("void", "void %", whole=True), Column("result", "w-d-l", whole=True), *ABOUT,
@@ -57,8 +57,9 @@ TICKED = (
 )  # fmt: skip
 MATCHES = (
     "match", Column("a", whole=True), Column("b", whole=True), Column("result", "w-d-l", whole=True), "voids",
-    Column("score", decimals=3), "recorded",
+    Column("score", decimals=3), Column("recorded", "rec."),
 )  # fmt: skip
+PURPOSE = Column("purpose", "for", whole=True)  # where there are others than the league's own rating matches
 SNAPSHOTS = (
     Column("name", whole=True), "iteration", "steps", Column("seconds", "trained s", 1), "origin",
     Column("digest", "digest"),
@@ -122,7 +123,7 @@ def ratings(args: list[str]) -> int:
     as_of = None if options.as_of is None else moment(options.as_of)
     with options.open() as opened:
         shown, teams = opened.shown(options.arena, options.engine, as_of, options.all), opened.teams()
-        log = opened.store.matches(opened.league, "rating") if options.ticker else []
+        log = opened.store.matches(opened.league, RATED) if options.ticker else []
     found = []
     for ladder in shown.ladders:
         rows = rating_rows(ladder, shown.snapshots, shown.players, shown.void_limit)
@@ -166,7 +167,8 @@ def matches(args: list[str]) -> int:
     if options.format == "table":
         rows = [{**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}"} for row in rows]
     unlike = [key for key in ("arena", "engine") if len({row[key] for row in rows}) > 1]
-    print(_newest(rows, [*MATCHES, *(Column(key, whole=True) for key in unlike)], options, args, "matches"))
+    shown = list(MATCHES) if all(row["purpose"] == "rating" for row in rows) else [MATCHES[0], PURPOSE, *MATCHES[1:]]
+    print(_newest(rows, [*shown, *(Column(key, whole=True) for key in unlike)], options, args, "matches"))
     return 0
 
 
@@ -209,7 +211,7 @@ def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = F
         row["void"] = _void(row)
         row["result"] = f"{row['wins']}-{row['draws']}-{row['losses']}" if row["games"] else None
         row["last"] = row["last_played"] and row["last_played"][:16].replace("T", " ")
-    columns, sides = TRIED if ladder.one_team else RATED, unlike_sides(shown.players)
+    columns, sides = TRIED if ladder.one_team else LADDER, unlike_sides(shown.players)
     title = f"Online Elo ticker in {_told(ladder.arena)}" if ticking and ladder.arena else _title(ladder)
     columns = TICKED if ticking else columns
     parts = [render(rows, columns, title=title)]

@@ -39,7 +39,7 @@ def games(scores: list[float], void: tuple[int, ...] = (), culprits: dict[int, l
 
 
 def seats(referee: Referee, *pairs):
-    return [seating for a, b in pairs for seating in referee._seatings(a, b)]
+    return [seating for a, b in pairs for seating in referee.seatings(a, b)]
 
 
 def test_sides_are_swapped_and_a_seed_pair_starts_and_rolls_alike(referee):
@@ -55,11 +55,11 @@ def test_snapshots_of_unlike_rosters_keep_their_sides_and_are_no_seed_pairs(refe
     teams = (referee.arena.teams[0], replace(referee.arena.teams[1], agents=referee.arena.teams[1].agents * 2))
     monkeypatch.setattr(referee.arena, "teams", teams)
     other = replace(B, roster=teams[1].roster)
-    assert referee._seatings(other, A) == ((A, other), (A, other))
+    assert referee.seatings(other, A) == ((A, other), (A, other))
     keys = np.asarray(jax.random.key_data(referee._keys([(A, other)] * 2, seed=5))).reshape(8, -1)
     assert len(np.unique(keys, axis=0)) == 8
     with pytest.raises(StorageError, match="cannot play sumo-1v1"):
-        referee._seatings(A, C)
+        referee.seatings(A, C)
 
 
 def test_counts_are_for_a_whatever_side_it_played(referee):

@@ -10,7 +10,7 @@ import pytest
 from league.commands import status as module
 from league.commands.status import report, status
 from league.query import Open
-from storage.records import Job, Phase
+from storage.records import CurvePoint, Job, Phase
 from tests.league.leagues import filled, finish, match
 
 HERE = socket.gethostname()
@@ -68,6 +68,16 @@ def test_it_tells_who_learns_since_when_and_what_ends_it(opened):
         line.split()[0]: line.split()[-1] for line in report(opened).splitlines() if line.startswith((" blue", " red"))
     }
     assert now == {"blue": "rests", "red": "learns"}
+
+
+def test_it_tells_which_score_ends_a_turn_and_how_far_that_is(opened):
+    until = {"iterations": 5, "score": 0.7}
+    opened.store.queue([], [Phase("cup", "1", 0, ("red",), {"blue": 2, "red": 1}, until)])
+    asked = "it ends after 5 iterations, 2 are left, or before that when it surely scores above 70 %:"
+    assert f"{asked} no episode has ended yet" in words(opened)
+    points = [CurvePoint("cup", "red", i, 1, 1.0, {"episodes": 100.0, "score": i / 4}) for i in (1, 2, 3)]
+    finish(opened.store, curves=points)
+    assert f"{asked} it scores 62.5 % (55.6-68.9) of 200" in words(opened)  # since iteration 1
 
 
 def test_it_tells_what_rating_takes_of_training(opened):

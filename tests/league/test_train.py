@@ -12,10 +12,11 @@ from league.config import experiment as configuration
 from league.config import presets
 from league.config.experiment import PlayerSettings
 from league.jobs import decode
-from league.standing import Standing
+from league.policies import add_scripts
+from league.standing import Standing, results
 from league.train import PlayerDiverged, Trainer
 from matchmaking.opponents import Opponents
-from matchmaking.schedule import Schedule
+from matchmaking.schedule import Schedule, turn_score
 from storage import arrays
 from storage.errors import LeaseLost
 from storage.records import League, Player
@@ -167,6 +168,37 @@ def test_leapfrog_by_steps_ends_a_turn_with_the_iteration_that_reaches_them_on_t
         learnt += [turn.learners] * sum(1 for _ in trainer.turn(store, turn, lambda: False))
         trainer.commit(store, lease, turn)
     assert learnt[:9] == [("blue",)] * 3 + [("red",)] * 3 + [("blue",)] * 3
+
+
+def test_leapfrog_by_score_hands_over_as_soon_as_it_is_reached_and_freezes_who_stops(store, arena):
+    config = settings(Schedule("leapfrog", period=200, until_score=0.02))
+    trainer = turns(store, config, arena, 1)
+    while not (phase := plan.next_turns(config, Standing.of(store, LEAGUE)).phases[0]).number:
+        assert (phase.learners, phase.until) == (("blue",), {"iterations": 200, "score": 0.02})
+        lease, turn = claim(store, config)
+        for _ in trainer.turn(store, turn, lambda: False):
+            pass
+        trainer.commit(store, lease, turn)
+    reached = phase.since["blue"]
+    assert 0 < reached < 200
+    curve = store.curves(LEAGUE, "blue")
+    before = results([p for p in curve if p.iteration < reached])
+    assert turn_score(before).low <= 0.02 < turn_score(results(curve)).low
+    assert [s.iteration for s in store.snapshots(LEAGUE, "blue")][-1] == reached
+    assert (phase.learners, phase.number) == (("red",), 1)
+
+
+def test_against_a_victim_one_learns_and_meets_nobody_else(store, arena):
+    add_scripts(store, LEAGUE, arena, ("pusher",))
+    config = settings(Schedule("frozen", learner=1, victim="pusher"))
+    turns(store, config, arena, 1)
+    lease, turn = claim(store, config)
+    assert (turn.learners, turn.present, turn.past) == (("red",), ("", "red"), {"red": (("pusher", ""),)})
+    store.release(lease)
+    turns(store, config, arena, 2)
+    assert {player: i for player, (i, _) in ends(store).items()} == {"blue": 0, "red": 2}
+    assert {p.values["past_share"] for p in store.curves(LEAGUE, "red")} == {1.0}
+    assert [s.name for s in store.snapshots(LEAGUE, "blue")] == ["blue@0"]
 
 
 def test_in_ladder_each_phase_is_followed_by_one_copy_however_often_the_league_is_killed(store, arena, tmp_path):

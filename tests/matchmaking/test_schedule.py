@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from matchmaking.ladder import Ladder
-from matchmaking.schedule import Learnt, Schedule, first_phase, next_due, next_phase, pairings, remaining
+from matchmaking.schedule import Learnt, Schedule, first_phase, next_due, next_phase, pairings, remaining, turn_score
 
 TEAMS = {0: "blue", 1: "red", 2: "gold"}
 
@@ -55,6 +55,31 @@ def test_by_steps_a_turn_ends_with_the_iteration_that_reaches_them_and_the_next_
     assert (phase.number, phase.until) == (3, {"step": 550})  # of blue's own, which has had 300
     assert remaining(phase, {"blue": Learnt(4, 400), "red": Learnt(99, 9900)}) == 150
     assert live(replace(schedule, period_steps=300), 7)[0] == ["blue"] * 3 + ["red"] * 3 + ["gold"]
+
+
+def test_a_turn_ends_when_its_learner_surely_scores_enough_or_at_its_cap():
+    schedule = Schedule("leapfrog", period=5, until_score=0.7)
+    phase = begin(schedule)
+    assert phase.until == {"iterations": 5, "score": 0.7}
+    assert next_phase(schedule, phase, TEAMS, {**learnt(blue=2), "blue": Learnt(2, 200, low=0.7)}) is None
+    after = next_phase(schedule, phase, TEAMS, {**learnt(blue=2), "blue": Learnt(2, 200, low=0.71)})
+    assert after is not None
+    assert (after.learners, after.until) == (("red",), {"iterations": 5, "score": 0.7})
+    capped = next_phase(schedule, phase, TEAMS, learnt(blue=5))
+    assert capped is not None
+    assert capped.learners == ("red",)
+    steps = begin(replace(schedule, period_steps=300), at=1)
+    assert steps.until == {"step": 400, "score": 0.7}
+    assert [remaining(steps, {"blue": Learnt(3, 300, low)}) for low in (0.6, 0.8)] == [100, 0]
+
+
+def test_a_turns_score_is_that_of_its_newest_500_episodes_and_says_how_sure_it_is():
+    assert turn_score([(400, 0.1), (300, 0.8), (200, 0.7)])[::3] == (0.76, 500)
+    assert turn_score([(300, 0.8), (199, 0.7), (1, 0.0)])[3] == 500
+    few, many = turn_score([(10, 0.9)]), turn_score([(500, 0.9)])
+    assert few.low < 0.7 < many.low < 0.9  # Wilson's: 0.596 and 0.871
+    assert (few.low, many.low) == pytest.approx((0.5958, 0.8706), abs=1e-3)
+    assert turn_score([])[1:] == (0.0, 1.0, 0)
 
 
 def test_a_turn_that_has_begun_ends_as_it_was_meant_to_when_it_began():

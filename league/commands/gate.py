@@ -1,0 +1,128 @@
+"""`league gate`: whether one snapshot is better than another, decided as early as two error rates allow."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from league.bouts import Bout, bout
+from league.commands.options import Where, parse, positional
+from league.commands.sprt import HypothesesOptions
+from league.config.schema import ConfigError
+from matchmaking.sprt import Result, Sequential
+from storage.records import Match, PairCounts
+
+ACCEPTED, REJECTED, UNDECIDED = 0, 1, 3
+"""Exit codes; 2 is for bad input, as everywhere."""
+WHAT = """Decide whether snapshot A is better than B by a sequential test on seed pairs. Exit code 0: accepted, A is
+better; 1: rejected; 3: undecided after --most episodes. The games are kept and count for ratings."""
+
+
+def _even(value: int) -> None:
+    if value % 2:
+        raise ValueError("must be even, half of them with sides swapped")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateOptions(HypothesesOptions, Where):
+    """Who is said to be better than whom, and the test."""
+
+    a: str = positional()
+    """The snapshot that is said to be better, such as blue@64: `league snapshots` lists them."""
+    b: str = positional()
+    """The one that it is compared with."""
+    most: int = field(default=10_000, metadata={"low": 2})
+    """Episodes after which it is left undecided."""
+    batch: int = field(default=128, metadata={"low": 2, "high": 2**20, "valid": _even})
+    """Episodes between two looks at the test; fewer decide earlier, more use a machine better."""
+
+
+def gate(args: list[str]) -> int:
+    """Play until it is decided."""
+    options = parse(GateOptions, args, "gate", WHAT)
+    with options.open() as opened:
+        found = bout(opened, options.a, options.b)
+        _refuse(found)
+        return decide(found, options.test(), options.batch, options.most)
+
+
+def _refuse(found: Bout) -> None:
+    """Raise ConfigError where the question has no answer.
+
+    Seed pairs need both sides. Where rosters are unlike there would be the trinomial test, but ½ is no even score
+    there: it would tell whose side is the easier one.
+    """
+    a, b = found.pair
+    if found.b is None or found.a.digest == found.b.digest:
+        raise ConfigError((), f"{a} and {b} are the same policy: name two that differ")
+    if not found.swaps:
+        told = "cannot swap sides, and an even score between unlike sides says nothing of who is better"
+        raise ConfigError((), f"{a} and {b} {told}: compare two of one side by `league ratings`")
+
+
+def decide(found: Bout, test: Sequential, batch: int, most: int) -> int:
+    """Play batches until the test decides, or another one would be more than `most` episodes; the exit code.
+
+    Each batch has dice that follow from the league's seed, the pair, the test and its number, by which those that are
+    in the store already are known: a gate that was killed goes on, one that was decided is told again. Games that the
+    two played for other reasons do not count in it: somebody may have asked because of them.
+    """
+    referee, (a, b) = found.referee(min(batch, most - most % 2)), found.pair
+    print(f"Is {a} better than {b}? Elo {test.elo0:g} against {test.elo1:g} ({test.model}), bounds {_bounds(test)}.")
+    while True:
+        played = batches(found.filed("gate", referee.key), found, test)
+        episodes, pairs = sum(map(_episodes, played)), paired(played)
+        stands = test.result(pairs)
+        if played:
+            print(f"{episodes:,} episodes, {_pairs(pairs)}: LLR {stands.llr:.3f} in {_bounds(test)}", flush=True)
+        if stands.decision != "continue" or episodes + 2 * referee.each > most:
+            break
+        found.file(referee, "gate", seed(found, test, len(played)))
+    print(_verdict(found, stands, episodes, sum(pairs)))
+    return {"accept": ACCEPTED, "reject": REJECTED, "continue": UNDECIDED}[stands.decision]
+
+
+def seed(found: Bout, test: Sequential, number: int) -> int:
+    """The dice of a test's batch, counted from 0."""
+    return found.seed("gate", test.elo0, test.elo1, test.alpha, test.beta, test.model, number)
+
+
+def batches(filed: Mapping[int, Match], found: Bout, test: Sequential) -> list[Match]:
+    """The batches of a test that have been played, in their order."""
+    played: list[Match] = []
+    while (match := filed.get(seed(found, test, len(played)))) is not None:
+        played.append(match)
+    return played
+
+
+def paired(played: list[Match]) -> PairCounts:
+    """The seed pairs of several batches together."""
+    return (
+        PairCounts(*(sum(counts) for counts in zip(*(m.pairs for m in played), strict=True)))
+        if played
+        else PairCounts()
+    )
+
+
+def _episodes(match: Match) -> int:
+    return match.wins + match.draws + match.losses + match.voids
+
+
+def _pairs(pairs: PairCounts) -> str:
+    ll, ld, dd, dw, ww = pairs
+    return f"seed pairs {ll} LL, {ld} LD, {dd} DD or WL, {dw} DW, {ww} WW"
+
+
+def _bounds(test: Sequential) -> str:
+    return f"({test.lower:.3f}, {test.upper:.3f})"
+
+
+def _verdict(found: Bout, stands: Result, episodes: int, pairs: int) -> str:
+    (a, b), by = found.pair, f"by {episodes:,} episodes in {pairs:,} seed pairs"
+    told = {
+        "accept": f"Accepted: {a} is better than {b}, {by}.",
+        "reject": f"Rejected: {a} is not better than {b}, {by}.",
+        "continue": f"Undecided: {episodes:,} episodes do not tell whether {a} is better than {b}; --most allows more.",
+    }[stands.decision]
+    if stands.elo != stands.elo:
+        return f"{told} No pair of them was sound: `league matches` counts the void ones."
+    ends = f"95 % interval {stands.low:+.0f} to {stands.high:+.0f}"
+    return f"{told} Measured: {stands.elo:+.0f} Elo ({ends}), which a test that stops early overstates."
