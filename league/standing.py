@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from matchmaking.ladder import Ladder
 from matchmaking.schedule import Schedule
-from storage.records import ArenaKey, Checkpoint, Job, Match, Phase, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, Job, Match, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -31,6 +31,7 @@ class Standing:
     ladder: Ladder = field(default_factory=lambda: Ladder(()))  # of the rating matches under it
     read: int = 0  # the last rating match that was read, under whatever key
     played: float = 0.0  # when that match was written, on the database's clock
+    meetings: Sequence[Meeting] = ()  # what came of all training games, in the order of their turns
     batches: Batches | None = None  # None before the first
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
     revision: int = -1  # of the store when this was read
@@ -62,9 +63,11 @@ class Standing:
         arena, ladder = _ladder(store, league, before, arena, snapshots, new)
         read, played = (new[-1].id, new[-1].created) if new else (before.read, before.played)
         checkpoints = store.newest_checkpoints(league)
+        met = before.meetings[-1].id if before.meetings else 0
         return cls(
             store.players(league), snapshots, checkpoints, store.phases(league),
             sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
+            [*before.meetings, *store.meetings(league, met)],
             _batches(before.batches, new), _rewards(store, checkpoints, recent), revision,
         )  # fmt: skip
 

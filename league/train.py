@@ -14,6 +14,7 @@ from zlib import crc32
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from agents.batch import Batch
@@ -22,7 +23,7 @@ from agents.errors import Diverged
 from agents.happo import compare
 from agents.parallel import ALONE, Together
 from agents.policy import Crew
-from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering
+from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering, results
 from arenas.arena import Arena
 from league import fading, heirs, memory
 from league.compiled import Compiled
@@ -34,7 +35,7 @@ from league.lineup import Lineup
 from league.policies import freeze
 from matchmaking.schedule import Learnt, next_due, remaining
 from storage import arrays
-from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Phase, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -83,6 +84,7 @@ class Trainer:
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
         self._recalled: dict[str, Recalled] = {}  # of players: what their critics remember of the group's worlds
         self._points: list[CurvePoint] = []
+        self._meetings: list[Meeting] = []  # of this turn: what came of the games of each learner against each opponent
         self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
         self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
         self.interrupted = False  # whether the last turn was told to stop before its end
@@ -113,10 +115,13 @@ class Trainer:
         lineup = self._lineup(store, turn)
         worlds, collect = self._prepare(lineup, turn)
         began, before, steps = time.monotonic(), dict(self.counters), 0
+        met = {name: np.zeros((lineup.groups, 4)) for name in turn.learners}
 
         for left in reversed(range(turn.iterations)):
             worlds, trajectory = collect(self._crews(lineup), worlds, self._key(turn, "rollout"))
             figures = self._learn(turn, trajectory, lineup)
+            for name in turn.learners:
+                met[name] += results(trajectory, self.players[name].team, lineup.groups, self.together.add)
 
             steps += lineup.worlds * self.together.size * self.config.training.rollout
             elapsed = self.together.first(time.monotonic() - began)
@@ -129,12 +134,14 @@ class Trainer:
                 self.interrupted = True
                 break
         self._worlds[turn.group] = worlds, lineup.seated
+        for name, won in met.items():
+            self._meetings += lineup.meetings(self.players[name], self.counters[name].iteration, won)
         if phase is not None and self.config.training.schedule.kind == "ladder" and self._is_over(phase):
             self._copy(store, turn, phase)
         compare(self.learners)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
-        """Write the turn's checkpoints, curves, and snapshots where they are due, and end the job: one transaction.
+        """Write the turn's checkpoints, curves, games, and snapshots where they are due; end the job: one transaction.
 
         Raises LeaseLost if the job, or a player, has meanwhile gone on elsewhere; then nothing was written.
         """
@@ -151,8 +158,11 @@ class Trainer:
             snapshots.extend(self._snapshot(store, self.players[name], key, turn))
         bases = {name: turn.bases[name] for name in learnt}
         keep = self.config.storage.checkpoints
-        store.finish(lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points, keep=keep)
-        self._points = []
+        store.finish(
+            lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points,
+            meetings=self._meetings, keep=keep,
+        )  # fmt: skip
+        self._points, self._meetings = [], []
         self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
 
     def too_large(self) -> memory.TooLarge:
@@ -288,7 +298,7 @@ class Trainer:
 
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
-        self._points, self._parents, self._copied = [], {}, ()
+        self._points, self._meetings, self._parents, self._copied = [], [], {}, ()
         self._at = self.together.first(self._at)
         league = next(iter(self.players.values())).league
         self.players = {player.name: player for player in store.players(league)}  # one may have been paused
