@@ -51,11 +51,15 @@ class Lineup:
         return seat(self.arena.teams, seats, also)
 
     def worlds_of(self, learner: str) -> slice | np.ndarray:
-        """The worlds from which a player learns."""
+        """The worlds from which a player learns; none where it rests and all are drawn for others."""
         mine = self._groups_of(learner)
         if len(mine) == self.groups:
             return slice(None)
-        return np.concatenate([np.arange(k * self._each, (k + 1) * self._each) for k in mine])
+        return np.concatenate([np.zeros(0, int), *(np.arange(k * self._each, (k + 1) * self._each) for k in mine)])
+
+    def teaches(self, player: str) -> bool:
+        """Whether there are such worlds."""
+        return bool(self._groups_of(player))
 
     def past_share(self, learner: str) -> float:
         """The share of the learner's worlds in which an opponent is a past snapshot."""

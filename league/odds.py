@@ -102,10 +102,10 @@ def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, o
 def records(opponents: Opponents, standing: Standing, learner: Player) -> Records:
     """A learner's win rates by its training games so far.
 
-    A snapshot that it has not met inherits from the one that it goes on from, in the end from its player as that sat
-    there; a player that it has not met, from its newest snapshot.
+    A snapshot that it has not met inherits from the one that it goes on from; a player that it has not met as it is
+    now, from that one's newest snapshot.
     """
-    parents: dict[str, str | None] = {s.name: s.parent or s.player for s in standing.snapshots}
+    parents = {s.name: s.parent for s in standing.snapshots}
     parents |= {s.player: s.name for s in standing.snapshots if s.player}
     known = Records(opponents.decay, opponents.shrinkage, parents)
     for game in _games(standing, learner):

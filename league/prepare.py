@@ -120,6 +120,7 @@ def examine(config: Config) -> "Arena":
         told = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
         raise refuse(("training", "shaping_until"), until, told)
     _examine_groups(config, len(teams))
+    _examine_opponents(config, arena)
     _examine_players(config, teams)
     _examine_ladder(config, arena)
     _examine_scripts(config, arena)
@@ -280,6 +281,34 @@ def _examine_groups(config: Config, teams: int) -> None:
         raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, told)
 
 
+def _examine_opponents(config: Config, arena: "Arena") -> None:
+    """Alpha-rank is of one population: snapshots of the other team must be able to play each other."""
+    rosters = list(dict.fromkeys(team.roster for team in arena.teams))
+    if config.training.opponents.kind == "alpharank" and len(rosters) > 1:
+        told = f"the teams of {arena.name} are unlike ({', '.join(rosters)}), and no population; use nash"
+        raise refuse(("training", "opponents", "kind"), "alpharank", told)
+
+
+def _examine_victim(where: str, config: Config, arena: "Arena") -> None:
+    """Whom players always meet must be there, or come with the league."""
+    from league.policies import script_titles
+
+    victim = config.training.opponents.victim
+    if not victim:
+        return
+    known = list(script_titles(arena, _scripts(config, arena))) + [f"{p.name}@0" for p in players_of(config, arena)]
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            if config.league in {league.name for league in store.leagues()}:
+                known = list(dict.fromkeys([*known, *(s.name for s in store.snapshots(config.league))]))
+    except NotAStore:
+        pass
+    if victim not in known:
+        shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+        told = f"the league has no snapshot of that name; there are: {shown}"
+        raise refuse(("training", "opponents", "victim"), victim, told)
+
+
 def _examine_players(config: Config, teams: list[str]) -> None:
     for i, player in enumerate(config.players):
         if player.team not in teams:
@@ -367,6 +396,7 @@ def _serve(request: Mapping[str, Any]) -> Prepared:
     first = (stages or [config])[0]
     if first.after:
         _examine_start(request["where"], first, arenas[0])
+    _examine_victim(request["where"], first, arenas[0])
     with Store.open(request["where"], create=True, blobs=config.storage.blobs) as store:
         if stages:  # each is made when it is its turn
             store.create_league(League(config.league, configuration.dumps(config)))

@@ -180,6 +180,7 @@ class Trainer:
         Raises PlayerDiverged. Where no world stayed sound nobody can learn: then it is whose robots alone went bad.
         """
         resting = self._resting(turn) if self.config.training.resting_critics else []
+        resting = [name for name in resting if lineup.teaches(name)]
         names = [*turn.learners, *resting]
         batches = [self._batch(name, trajectory, lineup) for name in names]
         figures = {

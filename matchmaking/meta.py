@@ -50,11 +50,11 @@ def alpharank(
         raise ValueError(f"alpha is {alpha}; it must be above 0")
     if population < 2:
         raise ValueError(f"population is {population}; it must be 2 or more")
-    span = np.ptp(a)
+    span = float(np.ptp(a))
     if len(a) == 1 or span == 0:
         mass = np.full(len(a), 1 / len(a))
     else:
-        mass = _stationary(_fixation(a / span, min(alpha * span, LIMIT), population, selection))
+        mass = _stationary(_fixation(a / span, min(float(alpha) * span, LIMIT), population, selection))
     return Equilibrium(mass, float(mass @ a @ mass))
 
 

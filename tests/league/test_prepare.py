@@ -27,6 +27,7 @@ def duel(**changes: object) -> configuration.Config:
         ("schedule.learner = 2", "training.schedule.learner", "the arena's teams are 0 (blue), 1 (red)"),
         ('device = "cuda"', "training.device", "torch sees no CUDA device"),
         ("worlds = 1048576\nrollout = 10000", "training.worlds", "GB"),
+        ('opponents.kind = "alpharank"\n[arena]\nname = "matching-pennies"', "training.opponents.kind", "use nash"),
         ('[rating]\nscripts = ["idle", "clown"]', "rating.scripts", "no script 'clown' (centre-holder, idle,"),
         ('[[players]]\nteam = "green"', "players.0.team", "the arena's teams are blue, red"),
         ('[[players]]\nteam = "blue"', "players", "nobody plays team red"),
@@ -39,7 +40,8 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
 
         if torch.cuda.is_available():
             pytest.skip("this machine has a CUDA device")
-    config = configuration.loads(f'arena.name = "sumo-1v1"\n[training]\n{toml}\n')
+    arena = "" if "[arena]" in toml else 'arena.name = "sumo-1v1"\n'
+    config = configuration.loads(f"{arena}[training]\n{toml}\n")
     with pytest.raises(ConfigError) as caught:
         examine(config)
     assert ".".join(caught.value.key) == key
