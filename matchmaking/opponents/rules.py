@@ -155,7 +155,7 @@ def alphastar(
 def check_mix(mix: tuple[float, float, float]) -> tuple[float, float, float]:
     """The shares of AlphaStar's three kinds of games as they are; ValueError unless they sum to 1."""
     if min(mix) < 0 or not math.isclose(sum(mix), 1.0, abs_tol=1e-6):
-        raise ValueError(f"mix is {list(mix)}; three shares that sum to 1, not to {sum(mix):g}")
+        raise ValueError(f"mix: three shares that sum to 1, not to {sum(mix):g}")
     return mix
 
 

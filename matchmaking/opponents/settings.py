@@ -106,14 +106,13 @@ class Opponents:
         for name, kinds in USED_BY.items():
             if getattr(self, name) != defaults[name] and self.kind not in kinds:
                 use = " or ".join(f"kind = {kind!r}" for kind in kinds)
-                given = getattr(self, name)
-                raise ValueError(f"{name} = {given!r} does nothing with kind = {self.kind!r}; use {use}")
+                raise ValueError(f"{name}: does nothing with kind = {self.kind!r}; use {use}")
         if self.kind == "alphastar" and self.past is not None:
-            raise ValueError(f"past = {self.past} does nothing with kind = 'alphastar'; its shares are in mix")
+            raise ValueError("past: does nothing with kind = 'alphastar'; its shares are in mix")
         if self.kind != "latest" and not self.share:
             raise ValueError(f"kind = {self.kind!r} does nothing with past = 0; give past > 0, e.g. 0.2")
         if self.kind == "fixed" and not self.victim:
-            raise ValueError("kind = 'fixed' needs a victim: give victim, a snapshot or script, e.g. red@16")
+            raise ValueError("victim: kind = 'fixed' needs one; give victim, a snapshot or script, e.g. red@16")
 
     @property
     def share(self) -> float:

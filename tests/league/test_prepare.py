@@ -198,3 +198,21 @@ def test_configuration_and_manager_load_nothing_heavy():
     heavy, megabytes = done.stdout.strip().split(";")
     assert heavy == ""
     assert int(megabytes) < 300
+
+
+def test_a_victim_must_be_there_or_come_with_the_league(tmp_path):
+    from league.prepare import _examine_victim
+
+    arena = configuration.default("matching-pennies").arena.build()
+
+    def always(victim: str) -> configuration.Config:
+        text = f'arena.name = "matching-pennies"\n[training.opponents]\nkind = "fixed"\nvictim = "{victim}"\n'
+        return configuration.loads(text)
+
+    place = str(tmp_path / "new")
+    for victim in ("heads:blue", "random:red", "red@0"):
+        _examine_victim(place, always(victim), arena)
+    with pytest.raises(ConfigError, match=r'victim = "heads": .* there are: heads:blue') as caught:
+        prepare(place, always("heads"))
+    assert caught.value.key == ("training", "opponents", "victim")
+    assert not (tmp_path / "new").exists()
