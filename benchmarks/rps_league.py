@@ -1,7 +1,7 @@
 """Rock, paper, scissors through the real daemon: which rules for opponents find the even mixture, and which run in
 circles.
 
-    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--steps 300000] [--out FILE.json]
+    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--steps 150000] [--entropy 0.1] [--out FILE.json]
 
 For each rule and seed a league is run; then every snapshot's choices are computed from its Gaussian. Told are, for each
 player: how far (total variation, 0 to 2/3) the mean over its history, the Nash mixture of its snapshots and its newest
@@ -31,18 +31,18 @@ RPS = np.array([[0.0, -1, 1], [1, 0, -1], [-1, 1, 0]])
 SETTINGS = (
     "--training.worlds", "128", "--training.rollout", "8", "--training.turn", "2",
     "--training.snapshots-per-doubling", "16", "--learner.lr", "5e-3", "--learner.critic-lr", "5e-3",
-    "--learner.entropy", "0.02", "--learner.architecture.hidden", "8", "--rating.share", "0.3",
+    "--learner.architecture.hidden", "8", "--rating.share", "0.3",
     "--rating.record", "false", "--rating.trained", "false",
 )  # fmt: skip
 
 
-def run(folder: Path, rule: str, seed: int, steps: int) -> None:
+def run(folder: Path, rule: str, seed: int, steps: int, entropy: float) -> None:
     """A league from its start to its end."""
     subprocess.run(
         [
             sys.executable, "-m", "league", "run", "--arena.name", "rock-paper-scissors", "--store", str(folder),
             "--seed", str(seed), "--steps", str(steps), "--budget.rate", "0s",
-            "--training.opponents.kind", rule, *SETTINGS,
+            "--learner.entropy", str(entropy), "--training.opponents.kind", rule, *SETTINGS,
         ],
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
@@ -84,14 +84,20 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     options.add_argument("--rules", nargs="+", default=["latest", "uniform", "nash"])
     options.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
-    options.add_argument("--steps", type=int, default=300_000)
+    options.add_argument("--steps", type=int, default=150_000)
+    options.add_argument("--entropy", type=float, default=0.1)
     options.add_argument("--out", type=Path)
     asked = options.parse_args()
-    found: dict[str, Any] = {"steps": asked.steps, "settings": " ".join(SETTINGS), "leagues": []}
+    found: dict[str, Any] = {
+        "steps": asked.steps,
+        "entropy": asked.entropy,
+        "settings": " ".join(SETTINGS),
+        "leagues": [],
+    }
     for rule in asked.rules:
         for seed in asked.seeds:
             with tempfile.TemporaryDirectory() as place:
-                run(Path(place), rule, seed, asked.steps)
+                run(Path(place), rule, seed, asked.steps, asked.entropy)
                 rows = choices(Path(place))
             for player, other in (("blue", "red"), ("red", "blue")):
                 row = {"rule": rule, "seed": seed, "player": player, **told(rows[player], rows[other])}

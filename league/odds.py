@@ -30,6 +30,8 @@ from matchmaking.opponents import (
 from matchmaking.roles import is_exploiter
 from storage.records import Meeting, Player, Snapshot
 
+WIN_RATE = "win rate"
+
 
 @dataclass(frozen=True, eq=False)
 class Odds:
@@ -41,9 +43,8 @@ class Odds:
     opponent: str  # the player that sits there as it is now, "" without one
     names: tuple[str, ...]  # (n,) of snapshots, oldest first
     mixture: Mixture
-    rates: np.ndarray  # (n,) what the rule has read: the learner's win rates, predicted scores, qualities, payoffs
-    told: str  # what `rates` are
-    records: Records
+    read: np.ndarray | None = None  # (n,) what the rule has read: win rates, predicted scores, qualities, payoffs
+    told: str = ""  # what that is
 
     @property
     def weights(self) -> np.ndarray:
@@ -56,10 +57,9 @@ def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, o
     """The odds of a learning player in another team. `opponent` sits there now, "" for nobody."""
     pool = _pool(opponents, standing, team)
     names = tuple(s.name for s in pool)
-    known = records(opponents, standing, learner)
+    n, read, told = len(names), None, ""
     if not names:
-        return Odds(opponent, (), Mixture(1.0, np.zeros(0), "no snapshots yet"), np.zeros(0), "", known)
-    rates, told, n = known.rates(names), "win rate", len(names)
+        return Odds(opponent, (), Mixture(1.0, np.zeros(0), "there is no such snapshot"))
     match opponents.kind:
         case "latest":
             past, why = latest(n), "the newest snapshot"
@@ -68,35 +68,38 @@ def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, o
         case "delta_uniform":
             past, why = delta_uniform(n, opponents.delta), f"every snapshot alike but the oldest {opponents.delta:.0%}"
         case "pfsp" | "prioritized":
-            past, why = pfsp(rates, opponents.weighting), f"by win rate, weighting {opponents.weighting}"
+            read, told = records(opponents, standing, learner).rates(names), WIN_RATE
+            past, why = pfsp(read, opponents.weighting), f"by win rate, weighting {opponents.weighting}"
         case "openai_five":
-            rates, told = qualities(opponents, standing, learner, names), "quality"
-            past, why = by_quality(rates), f"softmax of qualities, learning rate {opponents.rate:g}"
+            read, told = qualities(opponents, standing, learner, names), "quality"
+            past, why = by_quality(read), f"softmax of qualities, learning rate {opponents.rate:g}"
         case "gaussian":
-            rates, told = _predicted(standing, learner, pool), "predicted score"
+            read, told = _predicted(standing, learner, pool), "predicted score"
             past, why = (
-                gaussian(rates, opponents.sigma),
+                gaussian(read, opponents.sigma),
                 f"normal law of the predicted score, σ = {opponents.sigma:.3g}",
             )
         case "nash":
             payoffs = _payoffs(opponents, standing, standing.history(learner.name)[-1:], pool)
             own = [s for s in standing.snapshots if s.player in _players(standing, learner.team)]
             past, value = nash(-_payoffs(opponents, standing, own, pool).T)
-            rates, told = payoffs[0], "payoff of the newest snapshot"
+            read, told = payoffs[0], "payoff of the newest snapshot"
             why = f"their Nash mixture against all snapshots of {learner.name}'s team, who score {-value:.3f} at best"
         case "alpharank":
             table = _payoffs(opponents, standing, pool, pool)
-            past, rates, told = alpharank(table, opponents.alpha).mass, table.mean(1), "mean payoff among them"
+            past, read, told = alpharank(table, opponents.alpha).mass, table.mean(1), "mean payoff among them"
             why = f"their α-rank mass, α = {opponents.alpha:g}"
         case "fixed":
             past, why = np.ones(n) / n, "always the same"
         case "alphastar":
+            known = records(opponents, standing, learner)
             own = np.array([s.player == opponent or not opponent for s in pool])
             exploiters = np.array([s.player in _exploiters(standing) for s in pool])
             present = known.against(opponent).rate if opponent else None
-            mixture = alphastar(rates, present, own & ~exploiters, exploiters, opponents.mix)
-            return Odds(opponent, names, mixture, rates, told, known)
-    return Odds(opponent, names, Mixture(0.0, past, why), rates, told, known)
+            read = known.rates(names)
+            mixture = alphastar(read, present, own & ~exploiters, exploiters, opponents.mix)
+            return Odds(opponent, names, mixture, read, WIN_RATE)
+    return Odds(opponent, names, Mixture(0.0, past, why), read, told)
 
 
 def records(opponents: Opponents, standing: Standing, learner: Player) -> Records:

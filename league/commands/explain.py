@@ -11,9 +11,9 @@ from typing import Any, Literal
 from dashboards.tables import Column, render
 from league.commands.options import Where, parse, positional
 from league.config.build import build
-from league.odds import Odds, odds
+from league.odds import WIN_RATE, Odds, odds, records
 from league.standing import Standing
-from matchmaking.opponents import Opponents
+from matchmaking.opponents import Opponents, Records
 from storage.errors import UnknownName
 from storage.records import Player
 
@@ -56,11 +56,12 @@ def explained(rule: Opponents, standing: Standing, player: Player) -> dict[str, 
     seats = {p.team: p.name for p in standing.groups[player.group] if p.team != player.team}
     others = sorted({p.team for p in standing.players} - {player.team})
     drawn = rule.true_share if all(team in seats for team in others) else 1.0
+    known = records(rule, standing, player)
     phase = standing.phases.get(player.group)
     teams = []
     for team in others:
         at = odds(rule, standing, player, team, seats.get(team, ""))
-        teams.append({"team": team, "why": at.mixture.why, "reads": at.told, "opponents": _rows(at, drawn)})
+        teams.append({"team": team, "why": at.mixture.why, "reads": at.told, "opponents": _rows(at, known, drawn)})
     return {
         "player": player.name, "kind": rule.kind, "share": drawn, "groups": rule.groups if drawn else 1,
         "decay": rule.decay, "shrinkage": rule.shrinkage,
@@ -68,24 +69,21 @@ def explained(rule: Opponents, standing: Standing, player: Player) -> dict[str, 
     }  # fmt: skip
 
 
-def _rows(at: Odds, drawn: float) -> list[dict[str, Any]]:
+def _rows(at: Odds, known: Records, drawn: float) -> list[dict[str, Any]]:
     """A row for the opponent as it is now, and one for each snapshot, the newest first."""
     chances = at.weights * drawn
     chances[-1] += 1 - drawn
-    rates, games = at.records.rates(at.names), at.records.games(at.names)
-    rows = []
-    if at.opponent:
-        known = at.records.against(at.opponent).rate, int(at.records.games([at.opponent])[0])
-        rows.append(_row(at, at.opponent, chances[-1], *known, None) | {"present": True})
+    rows = [_row(known, at.opponent, chances[-1], None) | {"present": True}] if at.opponent else []
     for i in reversed(range(len(at.names))):
-        rows.append(_row(at, at.names[i], chances[i], rates[i], int(games[i]), float(at.rates[i])))
+        rows.append(_row(known, at.names[i], chances[i], None if at.read is None else float(at.read[i])))
     return rows
 
 
-def _row(at: Odds, name: str, chance: float, rate: float, games: int, read: float | None) -> dict[str, Any]:
-    source = at.records.source(name)
+def _row(known: Records, name: str, chance: float, read: float | None) -> dict[str, Any]:
+    source = known.source(name)
     return {
-        "opponent": name, "present": False, "probability": float(chance), "win_rate": float(rate), "games": games,
+        "opponent": name, "present": False, "probability": float(chance),
+        "win_rate": float(known.against(name).rate), "games": int(known.games([name])[0]),
         "read": read, "inherits": source if source != name else None,
     }  # fmt: skip
 
@@ -120,7 +118,7 @@ def _columns(team: dict[str, Any]) -> Sequence[Column | str]:
     shown = []
     for column in SHOWN:
         key = column if isinstance(column, str) else column.key
-        if key == "read" and team["reads"] in ("win rate", ""):
+        if key == "read" and team["reads"] in (WIN_RATE, ""):
             continue
         if key == "inherits" and not any(row["inherits"] for row in team["opponents"]):
             continue
