@@ -1,7 +1,7 @@
 """Rock, paper, scissors through the real daemon: which rules for opponents find the even mixture, and which run in
 circles.
 
-    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--steps 150000] [--entropy 0.1] [--out FILE.json]
+    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--entropy 0.1] [--out FILE.json]
 
 For each rule and seed a league is run; then every snapshot's choices are computed from its Gaussian. Told are, for each
 player: how far (total variation, 0 to 2/3) the mean over its history, the Nash mixture of its snapshots and its newest
