@@ -236,6 +236,26 @@ def outcomes(
     return {**figures, "score": sums[0] / episodes, "length": sums[1] / episodes} if episodes else figures
 
 
+def results(
+    trajectory: Trajectory,
+    index: int,
+    groups: int,
+    everywhere: Callable[[list[float]], list[float]] = lambda sums: sums,
+) -> np.ndarray:
+    """(groups, 4) Episodes that a team won, drew and lost, and void ones, in each of equal groups of worlds.
+
+    Episodes that were cut count for nobody. Of several other teams the best one counts; a team alone wins where it
+    succeeds. `everywhere` is as for `outcomes`.
+    """
+    own, others = trajectory.score[..., index], jnp.delete(trajectory.score, index, axis=-1)
+    ahead = own - (others.max(-1) if others.shape[-1] else 0.5)
+    whole = (trajectory.terminated | trajectory.truncated) & ~trajectory.cut & ~trajectory.void
+    ended = jnp.stack([whole & (ahead > 0), whole & (ahead == 0), whole & (ahead < 0), trajectory.void], axis=-1)
+    length, number, _ = ended.shape
+    counts = np.asarray(ended.reshape(length, groups, number // groups, 4).sum((0, 2)))
+    return np.array(everywhere(counts.ravel().astype(float).tolist())).reshape(groups, 4)
+
+
 def scripts_of(arena: Arena, kind: str) -> dict[str, Script]:
     """The scripts that a robot of this kind can play, by name; their places are their numbers in a crew."""
     return {name: kinds[kind] for name, kinds in arena.scripts().items() if kind in kinds}

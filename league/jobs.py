@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any, ClassVar
 
 from storage.errors import StorageError
@@ -27,6 +27,8 @@ class TrainingTurn:
     bases: Mapping[str, str]  # present player -> digest of its checkpoint, "" before its first
     iterations: int
     past: Mapping[str, tuple[tuple[str, ...], ...]]  # learner -> a lineup per group of worlds: snapshot of each team
+    odds: Mapping[str, Mapping[str, tuple[float, int]]] = field(default_factory=dict)
+    # learner -> snapshot in `past` -> the chance with which it was drawn, and out of how many
     dice: int = 0  # how often the players had to go back: a repeated turn rolls other dice
 
 
@@ -57,7 +59,7 @@ def decode(job: Job) -> Task:
     """The task in a job. Raises StorageError for a kind or a payload of another program or version."""
     try:
         task = KINDS[job.kind]
-        known = {field.name: field.default is MISSING for field in fields(task)}
+        known = {f.name: f.default is MISSING and f.default_factory is MISSING for f in fields(task)}
         if job.payload.keys() - known or {name for name, needed in known.items() if needed} - job.payload.keys():
             raise KeyError(job.kind)  # what has a default may be missing: an older version queued it
         return task(**{name: _frozen(value) for name, value in job.payload.items()})

@@ -1,7 +1,8 @@
 """Who plays whom in a training turn: worlds in K equal groups, a policy for every team in each.
 
 In the *present* groups every team plays as it is now. Each learning player also has groups of its own, in which the
-other teams are past snapshots; only its own experience from there teaches anybody.
+other teams are whom its rule has drawn: past snapshots, by some rules also the present player; only its own experience
+from there teaches anybody.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from arenas.arena import Arena
 from league.jobs import TrainingTurn
 from league.policies import Policy, seat, thaw
 from storage.errors import StorageError
-from storage.records import Snapshot
+from storage.records import Meeting, Player, Snapshot
 from storage.store import Store
 
 
@@ -50,21 +51,52 @@ class Lineup:
         return seat(self.arena.teams, seats, also)
 
     def worlds_of(self, learner: str) -> slice | np.ndarray:
-        """The worlds from which a player learns."""
-        mine = [k for k, owner in enumerate(self._owner) if owner in (None, learner)]
+        """The worlds from which a player learns; none where it rests and all are drawn for others."""
+        mine = self._groups_of(learner)
         if len(mine) == self.groups:
             return slice(None)
-        return np.concatenate([np.arange(k * self._each, (k + 1) * self._each) for k in mine])
+        return np.concatenate([np.zeros(0, int), *(np.arange(k * self._each, (k + 1) * self._each) for k in mine)])
+
+    def teaches(self, player: str) -> bool:
+        """Whether there are such worlds."""
+        return bool(self._groups_of(player))
 
     def past_share(self, learner: str) -> float:
-        """The share of the learner's worlds whose opponents are past snapshots."""
-        owned = [owner for owner in self._owner if owner in (None, learner)]
-        return sum(owner is not None for owner in owned) / len(owned)
+        """The share of the learner's worlds in which an opponent is a past snapshot."""
+        seated = [self.seated[k] for k in self._groups_of(learner)]
+        return sum(seats != self.turn.present for seats in seated) / len(seated)
+
+    def meetings(self, player: Player, iteration: int, results: np.ndarray) -> list[Meeting]:
+        """A learner's games of the turn, opponent by opponent.
+
+        Args:
+            player: the learner.
+            iteration: where it stands when the turn ends.
+            results: (groups, 4) its wins, draws, losses and voids in each group of worlds.
+        """
+        sums: dict[str, np.ndarray] = {}
+        for k in self._groups_of(player.name):
+            for team, name in enumerate(self.seated[k]):
+                if team != player.team:
+                    sums[name] = sums.get(name, 0) + results[k]
+        drawn = self.turn.odds.get(player.name, {})
+        found = []
+        for name in sorted(sums):
+            wins, draws, losses, voids = map(int, sums[name])
+            chance, pool = drawn.get(name, (1.0, 0))
+            if wins + draws + losses + voids:
+                counts = (wins, draws, losses, voids)
+                found.append(Meeting(player.league, player.name, iteration, name, *counts, chance, pool))
+        return found
 
     def changed(self, before: Sequence[tuple[str, ...]]) -> np.ndarray:
         """(worlds,) Where somebody else sits than in another lineup of as many groups."""
         groups = [now != then for now, then in zip(self.seated, before, strict=True)]
         return np.repeat(np.array(groups, bool), self._each)
+
+    def _groups_of(self, learner: str) -> list[int]:
+        """The groups from which a player learns."""
+        return [k for k, owner in enumerate(self._owner) if owner in (None, learner)]
 
 
 def _known(snapshots: Mapping[str, Snapshot], name: str) -> Snapshot:

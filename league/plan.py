@@ -14,14 +14,17 @@ import numpy as np
 from league.config.experiment import Config
 from league.jobs import RatingMatch, TrainingTurn, decode, encode
 from league.measures import can_meet, initial_opponents, learnt_enough, newest_snapshots, yardsticks
+from league.odds import odds
 from league.share import booking
 from league.standing import Standing
 from matchmaking.opponents import draw
 from matchmaking.schedule import Learnt, first_phase, next_due, next_phase, pairings, remaining
-from storage.records import Job, Phase, Player, Snapshot
+from storage.records import Job, Phase, Player
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
 Pair = tuple[str, str | None]
+Lineups = tuple[tuple[str, ...], ...]  # for each group of worlds who sits in every team
+Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it was drawn, and out of how many
 
 
 @dataclass(frozen=True)
@@ -93,16 +96,16 @@ def _first_turn(standing: Standing, group: str, players: Sequence[Player]) -> Tr
     new = [p for p in players if p.name not in standing.checkpoints]
     teams = 1 + max(p.team for p in standing.players)
     return TrainingTurn(
-        group, -1, tuple(p.name for p in new), _seats(new, teams), {p.name: "" for p in new}, 0, {}, _dice(players)
+        group, -1, tuple(p.name for p in new), _seats(new, teams), {p.name: "" for p in new}, 0, {}, {}, _dice(players)
     )
 
 
 def _turn(config: Config, standing: Standing, group: str, players: Sequence[Player], phase: Phase) -> TrainingTurn:
     learners = [p for p in players if p.name in phase.learners and p.paused is None]
     teams = 1 + max(p.team for p in standing.players)
-    victim = config.training.schedule.victim
-    seats = _seats(players if victim is None else learners, teams)  # a victim's place is nobody else's
+    seats = _seats(players, teams)
     at = {p.name: standing.checkpoints[p.name] for p in players}
+    met = {p.name: _opponents(config, standing, p, seats) for p in learners}
     return TrainingTurn(
         group,
         phase.number,
@@ -110,7 +113,8 @@ def _turn(config: Config, standing: Standing, group: str, players: Sequence[Play
         seats,
         {name: checkpoint.digest for name, checkpoint in at.items()},
         _iterations(config, standing, group, learners, phase),
-        {p.name: _past(config, standing, p, seats, at[p.name].iteration) for p in learners},
+        {name: lineups for name, (lineups, _) in met.items()},
+        {name: chances for name, (_, chances) in met.items()},
         _dice(players),
     )
 
@@ -138,43 +142,29 @@ def _learnt(standing: Standing, players: Sequence[Player]) -> dict[str, Learnt]:
     return {name: Learnt(each.iteration, each.step, low.get(name, 0.0)) for name, each in at.items()}
 
 
-def _past(
-    config: Config, standing: Standing, learner: Player, seats: Sequence[str], iteration: int
-) -> tuple[tuple[str, ...], ...]:
-    """Past opponents of a learning player: for each group of worlds the snapshot in every team, "" in its own."""
+def _opponents(config: Config, standing: Standing, learner: Player, seats: Sequence[str]) -> tuple[Lineups, Chances]:
+    """Opponents of a learning player for the whole turn, drawn at once: for each of its groups of worlds who sits in
+    every team, "" in its own and where it is the present player. And with which chance, of how many, each was drawn.
+    """
     opponents = config.training.opponents
     present, past = opponents.split()
     if "" in seats:  # a team without a player in this group can only be its past
         present, past = 0, present + past
     if not past:
-        return ()
+        return (), {}
+    iteration = standing.checkpoints[learner.name].iteration
     rng = np.random.default_rng([config.seed, iteration, crc32(learner.name.encode())])
-    lineups = [[""] * len(seats) for _ in range(past)]
-    for team in range(len(seats)):
-        pool = _pool(config, standing, team)
-        if team == learner.team or not pool:
+    lineups, chances = [[""] * len(seats) for _ in range(past)], {}
+    for team, opponent in enumerate(seats):
+        if team == learner.team:
             continue
-        weights = opponents.weights(len(pool), _scores(config, standing, learner, pool))
-        for lineup, i in zip(lineups, draw(weights, past, rng), strict=True):
-            lineup[team] = pool[i].name
-    return tuple(map(tuple, lineups))
-
-
-def _pool(config: Config, standing: Standing, team: int) -> list[Snapshot]:
-    """The snapshots of a team's players, oldest first; the victim alone where the schedule has one."""
-    if config.training.schedule.victim is not None:
-        return [s for s in standing.snapshots if s.name == config.training.schedule.victim]
-    own = {p.name for p in standing.players if p.team == team}
-    return sorted((s for s in standing.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
-
-
-def _scores(config: Config, standing: Standing, learner: Player, pool: Sequence[Snapshot]) -> np.ndarray | None:
-    """The learner's newest snapshot's score against each of the pool, where the rule asks for it."""
-    if config.training.opponents.kind != "prioritized":
-        return None
-    mine = max((s for s in standing.snapshots if s.player == learner.name), key=lambda s: s.iteration)
-    payoff = standing.ladder.payoff
-    return payoff.scores()[payoff.index(mine.name), [payoff.index(s.name) for s in pool]]
+        found = odds(opponents, standing, learner, team, opponent)
+        names = (*found.names, "")
+        for lineup, i in zip(lineups, draw(found.weights, past, rng), strict=True):
+            lineup[team] = names[i]
+            if names[i]:
+                chances[names[i]] = (float(found.weights[i]), len(found.names))
+    return tuple(map(tuple, lineups)), chances
 
 
 def _phase(config: Config, standing: Standing, group: str) -> Phase:

@@ -43,18 +43,24 @@ def add_scripts(store: Store, league: str, arena: Arena, names: Sequence[str] | 
 
     Raises ArenaError for a script that no team of the arena can play.
     """
-    rosters = {team.roster: team for team in arena.teams}
     snapshots = []
+    for title, (name, roster) in script_titles(arena, names).items():
+        digest = store.blobs.put(json.dumps({"script": name, "roster": roster}, sort_keys=True).encode())
+        snapshots.append(Snapshot(league, title, digest, roster, script=name, origin="scripted"))
+    store.add_snapshots(snapshots)
+
+
+def script_titles(arena: Arena, names: Sequence[str] | None) -> dict[str, tuple[str, str]]:
+    """How those scripted opponents are called in a league: title -> the script and the roster. See `add_scripts`."""
+    rosters, titles = {team.roster: team for team in arena.teams}, {}
     for name in arena.scripts() if names is None else names:
         check_scripts(arena, name)
         able = {roster: team for roster, team in rosters.items() if name in arena.playable(team)}
         if not able and names is not None:
             raise ArenaError(f"no team of arena {arena.name} has a script {name!r} for all its robots")
         for roster, team in able.items():
-            digest = store.blobs.put(json.dumps({"script": name, "roster": roster}, sort_keys=True).encode())
-            title = name if len(rosters) == 1 else f"{name}:{team.name}"
-            snapshots.append(Snapshot(league, title, digest, roster, script=name, origin="scripted"))
-    store.add_snapshots(snapshots)
+            titles[name if len(rosters) == 1 else f"{name}:{team.name}"] = name, roster
+    return titles
 
 
 def seat(

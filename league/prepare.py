@@ -120,6 +120,7 @@ def examine(config: Config) -> "Arena":
         told = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
         raise refuse(("training", "shaping_until"), until, told)
     _examine_groups(config, len(teams))
+    _examine_opponents(config, arena)
     _examine_players(config, teams)
     _examine_ladder(config, arena)
     _examine_scripts(config, arena)
@@ -161,7 +162,6 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     from league.query import Open
 
     players = players_of(config, arena)
-    _examine_victim(store, config, arena)
     if config.league in {league.name for league in store.leagues()}:
         _examine_rosters(store, config, arena, players)
         examine_checkpoints(store, config, arena, players)
@@ -178,30 +178,6 @@ def create(store: Store, config: Config, arena: "Arena") -> None:
     add_scripts(store, config.league, arena, _scripts(config, arena))
     if config.rating.trained:
         bring_in_trained(Open(store, config.league), arena.name)
-
-
-def _examine_victim(store: Store, config: Config, arena: "Arena") -> None:
-    """Whom the learner shall meet must be there, and fit every other team. A new league has scripts alone."""
-    victim, learner = config.training.schedule.victim, config.training.schedule.learner
-    if victim is None:
-        return
-    key = ("training", "schedule", "victim")
-    others = [team for i, team in enumerate(arena.teams) if i != learner]
-    if not others:
-        raise refuse(key, victim, f"{arena.name} has one team, and nobody meets another there")
-    there = config.league in {league.name for league in store.leagues()}
-    rosters = {s.name: s.roster for s in store.snapshots(config.league)} if there else {}
-    if not there:
-        same = len({team.roster for team in arena.teams}) == 1
-        titles = {(n if same else f"{n}:{t.name}"): t.roster for t in arena.teams for n in arena.playable(t)}
-        wanted = _scripts(config, arena)
-        rosters = {title: roster for title, roster in titles.items() if title.partition(":")[0] in wanted}
-    if victim not in rosters:
-        known = ", ".join(sorted(rosters)) or "none"
-        raise refuse(key, victim, f"league {config.league} has no such snapshot; there are: {known}")
-    for team in others:
-        if team.roster != rosters[victim]:
-            raise refuse(key, victim, f"its roster is {rosters[victim]}, and {team.name}'s is {team.roster}")
 
 
 def _examine_rosters(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
@@ -305,6 +281,34 @@ def _examine_groups(config: Config, teams: int) -> None:
         raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, told)
 
 
+def _examine_opponents(config: Config, arena: "Arena") -> None:
+    """Alpha-rank is of one population: snapshots of the other team must be able to play each other."""
+    rosters = list(dict.fromkeys(team.roster for team in arena.teams))
+    if config.training.opponents.kind == "alpharank" and len(rosters) > 1:
+        told = f"the teams of {arena.name} are unlike ({', '.join(rosters)}), and no population; use nash"
+        raise refuse(("training", "opponents", "kind"), "alpharank", told)
+
+
+def _examine_victim(where: str, config: Config, arena: "Arena") -> None:
+    """Whom players always meet must be there, or come with the league."""
+    from league.policies import script_titles
+
+    victim = config.training.opponents.victim
+    if not victim:
+        return
+    known = list(script_titles(arena, _scripts(config, arena))) + [f"{p.name}@0" for p in players_of(config, arena)]
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            if config.league in {league.name for league in store.leagues()}:
+                known = list(dict.fromkeys([*known, *(s.name for s in store.snapshots(config.league))]))
+    except NotAStore:
+        pass
+    if victim not in known:
+        shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+        told = f"the league has no snapshot of that name; there are: {shown}"
+        raise refuse(("training", "opponents", "victim"), victim, told)
+
+
 def _examine_players(config: Config, teams: list[str]) -> None:
     for i, player in enumerate(config.players):
         if player.team not in teams:
@@ -392,6 +396,7 @@ def _serve(request: Mapping[str, Any]) -> Prepared:
     first = (stages or [config])[0]
     if first.after:
         _examine_start(request["where"], first, arenas[0])
+    _examine_victim(request["where"], first, arenas[0])
     with Store.open(request["where"], create=True, blobs=config.storage.blobs) as store:
         if stages:  # each is made when it is its turn
             store.create_league(League(config.league, configuration.dumps(config)))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from matchmaking.ladder import Ladder, Pool
 from matchmaking.payoff import Score
 from matchmaking.schedule import Schedule, turn_score
-from storage.records import RATED, ArenaKey, Checkpoint, CurvePoint, Job, Match, Phase, Player, Snapshot
+from storage.records import RATED, ArenaKey, Checkpoint, CurvePoint, Job, Match, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -32,6 +32,7 @@ class Standing:
     ladder: Ladder = field(default_factory=lambda: Ladder(()))  # of the rating matches under it
     read: int = 0  # the last rated match that was read, under whatever key
     played: float = 0.0  # when the last of the league's own rating matches was written, on the database's clock
+    meetings: Sequence[Meeting] = ()  # what came of all training games, in the order of their turns
     batches: Batches | None = None  # None before the first
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if it was asked for
     scores: Mapping[str, Score] = field(default_factory=dict)  # of learners whose turn a score ends: see turn_scores
@@ -65,9 +66,11 @@ class Standing:
         read = new[-1].id if new else before.read
         played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
+        met = before.meetings[-1].id if before.meetings else 0
         return cls(
             players, snapshots, checkpoints, phases,
             sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
+            [*before.meetings, *store.meetings(league, met)],
             _batches(before.batches, new), _rewards(store, checkpoints, recent),
             turn_scores(store, phases), revision,
         )  # fmt: skip
@@ -114,14 +117,14 @@ def turn_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
     the store with the checkpoint that they led to, and the same on every machine where training is.
     """
     return {
-        learner: turn_score(results(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
+        learner: turn_score(episode_scores(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
         for phase in phases.values()
         if "score" in phase.until
         for learner in phase.learners
     }
 
 
-def results(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
+def episode_scores(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
     """Episodes that ended in each iteration, and their mean score, where any did."""
     return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
 

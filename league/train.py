@@ -14,6 +14,7 @@ from zlib import crc32
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from agents.batch import Batch
@@ -22,7 +23,7 @@ from agents.errors import Diverged
 from agents.happo import compare
 from agents.parallel import ALONE, Together
 from agents.policy import Crew
-from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering
+from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering, results
 from arenas.arena import Arena
 from league import fading, heirs, memory
 from league.compiled import Compiled
@@ -32,10 +33,10 @@ from league.jobs import TrainingTurn
 from league.learners import beside, new_learner, others
 from league.lineup import Lineup
 from league.policies import freeze
-from league.standing import results
+from league.standing import episode_scores
 from matchmaking.schedule import Learnt, next_due, remaining, turn_score
 from storage import arrays
-from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Phase, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 
 
@@ -84,6 +85,7 @@ class Trainer:
         self._worlds: dict[str, tuple[Worlds, list[tuple[str, ...]]]] = {}  # of each group, and who sat in them
         self._recalled: dict[str, Recalled] = {}  # of players: what their critics remember of the group's worlds
         self._points: list[CurvePoint] = []
+        self._meetings: list[Meeting] = []  # of this turn: what came of the games of each learner against each opponent
         self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
         self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
         self._earlier: list[CurvePoint] = []  # of the phase's learner, from its turns before this one
@@ -119,10 +121,13 @@ class Trainer:
         lineup = self._lineup(store, turn)
         worlds, collect = self._prepare(lineup, turn)
         began, before, steps = time.monotonic(), dict(self.counters), 0
+        met = {name: np.zeros((lineup.groups, 4)) for name in turn.learners}
 
         for left in reversed(range(turn.iterations)):
             worlds, trajectory = collect(self._crews(lineup), worlds, self._key(turn, "rollout"))
             figures = self._learn(turn, trajectory, lineup)
+            for name in turn.learners:
+                met[name] += results(trajectory, self.players[name].team, lineup.groups, self.together.add)
 
             steps += lineup.worlds * self.together.size * self.config.training.rollout
             elapsed = self.together.first(time.monotonic() - began)
@@ -135,6 +140,8 @@ class Trainer:
                 self.interrupted = True
                 break
         self._worlds[turn.group] = worlds, lineup.seated
+        for name, won in met.items():
+            self._meetings += lineup.meetings(self.players[name], self.counters[name].iteration, won)
         if phase is not None and self._is_over(phase):
             kind = self.config.training.schedule.kind
             self._handed_over = kind == "leapfrog"
@@ -143,7 +150,7 @@ class Trainer:
         compare(self.learners)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
-        """Write the turn's checkpoints, curves, and snapshots where they are due, and end the job: one transaction.
+        """Write the turn's checkpoints, curves, games, and snapshots where they are due; end the job: one transaction.
 
         Raises LeaseLost if the job, or a player, has meanwhile gone on elsewhere; then nothing was written.
         """
@@ -160,8 +167,11 @@ class Trainer:
             snapshots.extend(self._snapshot(store, self.players[name], key, turn))
         bases = {name: turn.bases[name] for name in learnt}
         keep = self.config.storage.checkpoints
-        store.finish(lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points, keep=keep)
-        self._points = []
+        store.finish(
+            lease, bases=bases, checkpoints=checkpoints, snapshots=snapshots, curves=self._points,
+            meetings=self._meetings, keep=keep,
+        )  # fmt: skip
+        self._points, self._meetings = [], []
         self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
 
     def too_large(self) -> memory.TooLarge:
@@ -179,6 +189,7 @@ class Trainer:
         Raises PlayerDiverged. Where no world stayed sound nobody can learn: then it is whose robots alone went bad.
         """
         resting = self._resting(turn) if self.config.training.resting_critics else []
+        resting = [name for name in resting if lineup.teaches(name)]
         names = [*turn.learners, *resting]
         batches = [self._batch(name, trajectory, lineup) for name in names]
         figures = {
@@ -297,7 +308,7 @@ class Trainer:
 
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
-        self._points, self._parents, self._copied = [], {}, ()
+        self._points, self._meetings, self._parents, self._copied = [], [], {}, ()
         self._earlier, self._handed_over = [], False
         self._at = self.together.first(self._at)
         league = next(iter(self.players.values())).league
@@ -365,7 +376,7 @@ class Trainer:
         at = {name: Learnt(c.iteration, c.steps) for name, c in self.counters.items()}
         if "score" in phase.until:
             (learner,) = phase.learners
-            low = turn_score(results([*self._earlier, *self._points])).low
+            low = turn_score(episode_scores([*self._earlier, *self._points])).low
             at[learner] = at[learner]._replace(low=low)
         return remaining(phase, at) == 0
 

@@ -20,3 +20,8 @@ class Role:
 
 
 MAIN = Role("main")
+
+
+def is_exploiter(role: str) -> bool:
+    """Whether a player of that role looks for others' weaknesses: main_exploiter, league_exploiter and the like."""
+    return "exploiter" in role

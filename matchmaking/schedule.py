@@ -37,10 +37,6 @@ class Schedule:
     learner: int = 0
     """The team that learns first (leapfrog) or alone (ladder, frozen), counted from 0."""
 
-    victim: str | None = None
-    """Frozen: the learner meets this snapshot alone, a player's own, an imported one or a script (none: the other
-    teams' players as they stand)."""
-
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise ValueError(f"kind is {self.kind!r}; choose one of {', '.join(get_args(Kind))}")
@@ -52,10 +48,6 @@ class Schedule:
             raise ValueError(f"until_score is {self.until_score}; a score lies between 0 and 1, e.g. 0.7")
         if self.until_score is not None and self.kind != "leapfrog":
             raise ValueError(f"until_score ends a turn of leapfrog, and kind is {self.kind!r}")
-        if self.victim is not None and self.kind != "frozen":
-            raise ValueError(
-                f"victim is {self.victim}; only where kind is 'frozen' somebody meets it, not {self.kind!r}"
-            )
         if self.learner < 0:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
 

@@ -1,7 +1,8 @@
 """Leagues as rows that can be carried to another store: which rows and columns travel, and what they must be to arrive.
 
 What belongs to processes stays behind: workers, who leads, leases (a job that was being worked on waits again), a stop
-that was asked for. Numbers that a database gives (of runs, checkpoints, jobs) are given anew, in the same order.
+that was asked for. Numbers that a database gives (of runs, checkpoints, meetings, jobs) are given anew, in the same
+order.
 """
 
 import math
@@ -19,7 +20,18 @@ from storage.rows import NEWEST_CHECKPOINT
 
 TABLES: Mapping[str, sa.Table] = {
     table.name: table
-    for table in (*(t.leagues, t.runs, t.players, t.checkpoints, t.snapshots, t.matches, t.curves, t.phases, t.jobs),)
+    for table in (
+        t.leagues,
+        t.runs,
+        t.players,
+        t.checkpoints,
+        t.snapshots,
+        t.matches,
+        t.curves,
+        t.meetings,
+        t.phases,
+        t.jobs,
+    )
 }
 """Those that travel, each after those that its rows point to."""
 
@@ -29,6 +41,7 @@ _STAY = {
     "leagues": {"stop_asked", "leader", "lead_until"},
     "runs": {"id"},
     "checkpoints": {"id"},
+    "meetings": {"id"},
     "jobs": {"id", "holder", "lease_until"},
 }
 _ORDER: Mapping[str, Sequence[sa.Column[Any]]] = {
@@ -39,6 +52,7 @@ _ORDER: Mapping[str, Sequence[sa.Column[Any]]] = {
     "snapshots": (t.snapshots.c.league, t.snapshots.c.iteration, t.snapshots.c.name),
     "matches": (t.matches.c.league, t.matches.c.id),
     "curves": (t.curves.c.league, t.curves.c.player, t.curves.c.iteration),
+    "meetings": (t.meetings.c.id,),
     "phases": (t.phases.c.league, t.phases.c.group, t.phases.c.number),
     "jobs": (t.jobs.c.id,),
 }
@@ -50,6 +64,7 @@ _KEYS: Mapping[str, tuple[str, ...]] = {
 _POINTS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "checkpoints": (("player", "players"),), "snapshots": (("player", "players"),),
     "matches": (("a", "snapshots"), ("b", "snapshots")), "curves": (("player", "players"),),
+    "meetings": (("player", "players"),),
 }  # fmt: skip
 BLOBS: Mapping[str, str] = {"checkpoints": "digest", "snapshots": "digest", "matches": "recording"}
 """Tables whose rows name a blob, and in which column."""

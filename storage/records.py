@@ -183,6 +183,27 @@ class CurvePoint:
 
 
 @dataclass(frozen=True)
+class Meeting:
+    """What came of a player's training games against one opponent in one turn, counted for the player.
+
+    A draw is a draw. `opponent` is a snapshot, or a player that sat there as it was then. `chance` is the probability
+    with which each group of worlds drew that snapshot, out of `pool` of them; 1 of 0 for a player.
+    """
+
+    league: str
+    player: str
+    iteration: int  # of the player, when the turn ended
+    opponent: str
+    wins: int
+    draws: int
+    losses: int
+    voids: int = 0
+    chance: float = 1.0
+    pool: int = 0
+    id: int = 0
+
+
+@dataclass(frozen=True)
 class Phase:
     """Who of a group learns now, since when, and what will end it. A group's phases are numbered 0, 1, 2, ..."""
 

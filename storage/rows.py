@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from storage import tables as t
 from storage.errors import StorageError, UnknownName
-from storage.records import ArenaKey, Checkpoint, CurvePoint, Job, Match, PairCounts, Phase, Player, Snapshot
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Job, Match, Meeting, PairCounts, Phase, Player, Snapshot
 
 R = TypeVar("R")
 
@@ -134,6 +134,12 @@ def add_curves(db: sa.Connection, points: Sequence[CurvePoint]) -> None:
         put = insert_or(db, t.curves)
         again = {name: put.excluded[name] for name in ("step", "seconds", "values")}
         db.execute(put.on_conflict_do_update(index_elements=["league", "player", "iteration"], set_=again), rows)
+
+
+def add_meetings(db: sa.Connection, meetings: Sequence[Meeting]) -> None:
+    """Append to what came of training games; their league has been touched, so they are numbered in order."""
+    if meetings:
+        db.execute(sa.insert(t.meetings), [row_of(meeting, "id") for meeting in meetings])
 
 
 def add_phases(db: sa.Connection, phases: Sequence[Phase]) -> int:

@@ -34,6 +34,7 @@ from storage.records import (
     League,
     Lease,
     Match,
+    Meeting,
     Phase,
     Player,
     Run,
@@ -263,6 +264,11 @@ class Store:
         chosen = [c.league == league, c.iteration > after, *([c.player == player] if player is not None else [])]
         return self._db.records(CurvePoint, t.curves, *chosen, order=(c.player, c.iteration))
 
+    def meetings(self, league: str, after: int = 0) -> list[Meeting]:
+        """What came of training games, or the part that was written after a row, in the order of commits."""
+        c = t.meetings.c
+        return self._db.records(Meeting, t.meetings, c.league == league, c.id > after, order=[c.id])
+
     # Jobs and leases
 
     def queue(self, jobs: Sequence[Job], phases: Sequence[Phase] = ()) -> int:
@@ -334,6 +340,7 @@ class Store:
         snapshots: Sequence[Snapshot] = (),
         matches: Sequence[Match] = (),
         curves: Sequence[CurvePoint] = (),
+        meetings: Sequence[Meeting] = (),
         jobs: Sequence[Job] = (),
         keep: int = 0,
     ) -> None:
@@ -350,7 +357,7 @@ class Store:
         self._require_blobs(match.recording for match in matches if match.recording is not None)
         with self._db.writing() as db:
             league = leases.end(db, lease, state="done", error=None)
-            for row in (*checkpoints, *snapshots, *matches, *curves, *jobs):
+            for row in (*checkpoints, *snapshots, *matches, *curves, *meetings, *jobs):
                 if row.league != league:
                     raise StorageError(f"Job {lease.job} of league {league!r} has a result for league {row.league!r}.")
             leases.require_newest(db, league, bases or {})
@@ -358,6 +365,7 @@ class Store:
             rows.add_checkpoints(db, league, checkpoints, keep)
             rows.add_matches(db, league, matches)
             rows.add_curves(db, curves)
+            rows.add_meetings(db, meetings)
             rows.add_jobs(db, jobs)
 
     def fail(self, lease: Lease, error: str, tries: int = 3, wait: float = 5.0) -> bool:

@@ -156,6 +156,16 @@ curves = sa.Table(
     _json("values"),
     _of_player(),
 )
+meetings = sa.Table(
+    "meetings",
+    metadata,
+    sa.Column("id", sa.Integer, primary_key=True),
+    *map(_text, ("league", "player", "opponent")),
+    *map(_count, ("iteration", "wins", "draws", "losses", "voids", "pool")),
+    _real("chance"),
+    _of_player(),
+    sa.Index("meetings_of_league", "league", "id"),
+)
 phases = sa.Table(
     "phases",
     metadata,
@@ -205,12 +215,17 @@ def add_seconds_of_matches(db: sa.Connection) -> None:
     db.execute(sa.text("ALTER TABLE matches ADD COLUMN due DOUBLE PRECISION"))
 
 
+def add_meetings(db: sa.Connection) -> None:
+    """From schema 3 to 4: what came of training games, opponent by opponent. Of turns before nobody knows it."""
+    meetings.create(db)
+
+
 # The oldest schema that can be brought up to date. Schema 1 keyed snapshots by their bytes and leagues by their arena.
 FIRST_SCHEMA = 2
 
 # MIGRATIONS[i] takes a database from schema FIRST_SCHEMA + i to the next. A new store is made from the tables above, so
 # whoever adds a migration changes the tables to match.
-MIGRATIONS: list[Callable[[sa.Connection], None]] = [add_seconds_of_matches]
+MIGRATIONS: list[Callable[[sa.Connection], None]] = [add_seconds_of_matches, add_meetings]
 
 
 def newest_schema() -> int:

@@ -29,6 +29,7 @@ from league.config.sections import (
     check_name,
     named_players,
 )
+from matchmaking.opponents.settings import BY_RATINGS
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class Config:
             samples, of = training.worlds * training.rollout // chunk, " / chunk" if chunk > 1 else ""
             if self.learner.minibatches > samples:
                 raise ValueError(f"learner.minibatches: a batch has only {samples} samples, worlds × rollout{of}")
-            if training.opponents.past and training.opponents.groups > training.worlds:
+            if training.opponents.share and training.opponents.groups > training.worlds:
                 raise ValueError(f"training.opponents.groups: there are only {training.worlds} worlds to share")
         if training.devices > 1:
             self._check_devices()
@@ -110,14 +111,14 @@ class Config:
             )
         if self.learner.minibatches > each * training.rollout:
             raise ValueError(f"learner.minibatches: each device has only {each * training.rollout} samples of a batch")
-        if training.opponents.past and training.opponents.groups > each:
+        if training.opponents.share and training.opponents.groups > each:
             raise ValueError(f"training.opponents.groups: each device has only {each} worlds to share")
 
     def _check_deterministic(self) -> None:
-        if self.training.opponents.kind == "prioritized":
+        if (kind := self.training.opponents.kind) in BY_RATINGS:
             raise ValueError(
-                "deterministic: opponents.kind = 'prioritized' follows ratings, whose matches end in no fixed order;"
-                " use latest, uniform or delta_uniform"
+                f"deterministic: opponents.kind = {kind!r} follows ratings, whose matches end in no fixed order;"
+                " use another kind"
             )
         if self.budget.steps is None:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")

@@ -62,10 +62,10 @@ def folder(tmp_path, monkeypatch):
             "period_steps is 0; a turn lasts 1 environment step or more",
         ),
         (("run", "--training.schedule.until_score", "0.7"), "ends a turn of leapfrog, and kind is 'simultaneous'"),
-        (("run", "--training.schedule.victim", "idle"), "only where kind is 'frozen' somebody meets it"),
+        (("run", "--training.opponents.victim", "idle"), "does nothing with kind = 'latest'; use kind = 'fixed'"),
         (
-            ("run", "--training.schedule.kind", "frozen", "--training.schedule.victim", "blue@7"),
-            'victim = "blue@7": league quickstart has no such snapshot; there are: centre-holder, idle, pusher, random',
+            ("run", "--training.opponents.kind", "fixed", "--training.opponents.victim", "blue@7"),
+            'victim = "blue@7": the league has no snapshot of that name; there are: ',
         ),
         (("run", "--training.schedule.until_score", "1.5"), "a score lies between 0 and 1"),
         (("run", "--arena.name", "sumo-by-team", "--training.schedule.kind", "ladder"), "ladder needs equal rosters"),

@@ -100,7 +100,7 @@ def test_what_a_file_leaves_out_is_as_the_named_arena_has_it():
         ("deterministic = true\n", "league.toml:1: deterministic = true: needs a budget in steps"),
         ('deterministic = true\n[budget]\nsteps = 9\ntrain = "1m"\n', 'league.toml:4: budget.train = "1m": time runs'),
         ("[training]\nworlds = 4\n[training.opponents]\nkind = 'uniform'\npast = 0.5\n", "only 4 worlds to share"),
-        ('deterministic = true\n[training.opponents]\nkind = "prioritized"\npast = 0.5\n', "no fixed order"),
+        ('deterministic = true\n[training.opponents]\nkind = "nash"\n', "no fixed order"),
     ],
 )
 def test_a_wrong_setting_is_one_line_with_place_and_possibilities(text, says):

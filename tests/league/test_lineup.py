@@ -71,6 +71,13 @@ def test_a_team_that_does_not_learn_plays_as_it_is(store, arena):
     assert made.worlds_of("red") == slice(None)
 
 
+def test_who_rests_while_all_worlds_are_drawn_for_another_learns_from_none(store, arena):
+    made = lineup(store, arena, turn(("blue",), {"blue": (("", "idle"), ("", ""))}), present=0)
+    assert (made.teaches("blue"), made.teaches("red")) == (True, False)
+    assert made.worlds_of("red").size == 0
+    assert made.past_share("blue") == 0.5  # in the other half red sits as it is now
+
+
 def test_worlds_whose_opponent_changed_are_told_and_no_others(store, arena):
     before = lineup(store, arena, turn(past={"blue": (("", "idle"), ("", "random")), "red": ()}), worlds=12)
     after = lineup(store, arena, turn(past={"blue": (("", "idle"), ("", "pusher")), "red": ()}), worlds=12)

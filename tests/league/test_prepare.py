@@ -27,6 +27,7 @@ def duel(**changes: object) -> configuration.Config:
         ("schedule.learner = 2", "training.schedule.learner", "the arena's teams are 0 (blue), 1 (red)"),
         ('device = "cuda"', "training.device", "torch sees no CUDA device"),
         ("worlds = 1048576\nrollout = 10000", "training.worlds", "GB"),
+        ('opponents.kind = "alpharank"\n[arena]\nname = "matching-pennies"', "training.opponents.kind", "use nash"),
         ('[rating]\nscripts = ["idle", "clown"]', "rating.scripts", "no script 'clown' (centre-holder, idle,"),
         ('[[players]]\nteam = "green"', "players.0.team", "the arena's teams are blue, red"),
         ('[[players]]\nteam = "blue"', "players", "nobody plays team red"),
@@ -39,7 +40,8 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
 
         if torch.cuda.is_available():
             pytest.skip("this machine has a CUDA device")
-    config = configuration.loads(f'arena.name = "sumo-1v1"\n[training]\n{toml}\n')
+    arena = "" if "[arena]" in toml else 'arena.name = "sumo-1v1"\n'
+    config = configuration.loads(f"{arena}[training]\n{toml}\n")
     with pytest.raises(ConfigError) as caught:
         examine(config)
     assert ".".join(caught.value.key) == key
@@ -196,3 +198,21 @@ def test_configuration_and_manager_load_nothing_heavy():
     heavy, megabytes = done.stdout.strip().split(";")
     assert heavy == ""
     assert int(megabytes) < 300
+
+
+def test_a_victim_must_be_there_or_come_with_the_league(tmp_path):
+    from league.prepare import _examine_victim
+
+    arena = configuration.default("matching-pennies").arena.build()
+
+    def always(victim: str) -> configuration.Config:
+        text = f'arena.name = "matching-pennies"\n[training.opponents]\nkind = "fixed"\nvictim = "{victim}"\n'
+        return configuration.loads(text)
+
+    place = str(tmp_path / "new")
+    for victim in ("heads:blue", "random:red", "red@0"):
+        _examine_victim(place, always(victim), arena)
+    with pytest.raises(ConfigError, match=r'victim = "heads": .* there are: heads:blue') as caught:
+        prepare(place, always("heads"))
+    assert caught.value.key == ("training", "opponents", "victim")
+    assert not (tmp_path / "new").exists()

@@ -13,7 +13,7 @@ from league.config import presets
 from league.config.experiment import PlayerSettings
 from league.jobs import decode
 from league.policies import add_scripts
-from league.standing import Standing, results
+from league.standing import Standing, episode_scores
 from league.train import PlayerDiverged, Trainer
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule, turn_score
@@ -182,18 +182,19 @@ def test_leapfrog_by_score_hands_over_as_soon_as_it_is_reached_and_freezes_who_s
     reached = phase.since["blue"]
     assert 0 < reached < 200
     curve = store.curves(LEAGUE, "blue")
-    before = results([p for p in curve if p.iteration < reached])
-    assert turn_score(before).low <= 0.02 < turn_score(results(curve)).low
+    before = episode_scores([p for p in curve if p.iteration < reached])
+    assert turn_score(before).low <= 0.02 < turn_score(episode_scores(curve)).low
     assert [s.iteration for s in store.snapshots(LEAGUE, "blue")][-1] == reached
     assert (phase.learners, phase.number) == (("red",), 1)
 
 
 def test_against_a_victim_one_learns_and_meets_nobody_else(store, arena):
     add_scripts(store, LEAGUE, arena, ("pusher",))
-    config = settings(Schedule("frozen", learner=1, victim="pusher"))
+    always = Opponents("fixed", victim="pusher", groups=1)
+    config = settings(Schedule("frozen", learner=1), opponents=always)
     turns(store, config, arena, 1)
     lease, turn = claim(store, config)
-    assert (turn.learners, turn.present, turn.past) == (("red",), ("", "red"), {"red": (("pusher", ""),)})
+    assert (turn.learners, turn.past) == (("red",), {"red": (("pusher", ""),)})
     store.release(lease)
     turns(store, config, arena, 2)
     assert {player: i for player, (i, _) in ends(store).items()} == {"blue": 0, "red": 2}

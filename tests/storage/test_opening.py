@@ -145,7 +145,7 @@ def test_a_newer_store_is_refused_and_both_schemas_named(place: tuple[str, str],
     Store.open(where, create=True, blobs=blobs).close()
     monkeypatch.undo()
     for create in (False, True):
-        with pytest.raises(NewerStore, match="has schema 8, but this program knows only up to 3: update"):
+        with pytest.raises(NewerStore, match="has schema 8, but this program knows only up to 4: update"):
             Store.open(where, create=create, blobs=blobs)
 
 
@@ -169,11 +169,13 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
         with store._db.writing() as db:
             for column in ("seconds", "due"):
                 db.execute(sa.text(f"ALTER TABLE matches DROP COLUMN {column}"))
+            db.execute(sa.text("DROP TABLE meetings"))
             db.execute(sa.update(tables.changes).values(schema=2))
     with Store.open(where, blobs=blobs) as store:
         finish_a_job(store, matches=[replace(match(2), seconds=1.5, due=7.25)])
         assert [(m.seed, m.seconds, m.due) for m in store.matches("cup")] == [(1, 0.0, None), (2, 1.5, 7.25)]
         assert store.booked("cup") == (1.5, 7.25)
+        assert store.meetings("cup") == []
 
 
 def add_notes(db: sa.Connection) -> None:
@@ -201,7 +203,7 @@ def test_each_migration_is_whole_recorded_and_made_once(place: tuple[str, str], 
         with Store.open(where, blobs=blobs) as store, store._db.engine.connect() as db:
             made = db.execute(sa.select(tables.changes.c.schema, tables.changes.c.change)).all()
             notes = db.execute(sa.text("SELECT body FROM notes")).all()
-        assert sorted(map(tuple, made)) == [(3, "created"), (4, "add_notes"), (5, "fill_notes")]
+        assert sorted(map(tuple, made)) == [(4, "created"), (5, "add_notes"), (6, "fill_notes")]
         assert notes == [("whole",)]
 
 

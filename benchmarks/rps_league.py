@@ -1,0 +1,111 @@
+"""Rock, paper, scissors through the real daemon: which rules for opponents find the even mixture, and which run in
+circles.
+
+    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--entropy 0.1] [--out FILE.json]
+
+For each rule and seed a league is run; then every snapshot's choices are computed from its Gaussian. Told are, for each
+player: how far (total variation, 0 to 2/3) the mean over its history, the Nash mixture of its snapshots and its newest
+snapshot are from one third each, the mean distance of the snapshots, and how often they went round the middle. The
+Nash mixture is solved on the exact payoffs of the snapshots' choices.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path[0] = str(Path(__file__).parents[1])  # this folder has an arenas.py too
+
+from agents.policy import distribution  # noqa: E402
+from arenas import settings  # noqa: E402
+from league.policies import thaw  # noqa: E402
+from matchmaking.equilibrium import nash  # noqa: E402
+from storage.store import Store  # noqa: E402
+
+RPS = np.array([[0.0, -1, 1], [1, 0, -1], [-1, 1, 0]])
+SETTINGS = (
+    "--training.worlds", "128", "--training.rollout", "8", "--training.turn", "2",
+    "--training.snapshots-per-doubling", "16", "--learner.lr", "5e-3", "--learner.critic-lr", "5e-3",
+    "--learner.architecture.hidden", "8", "--rating.share", "0.3",
+    "--rating.record", "false", "--rating.trained", "false",
+)  # fmt: skip
+
+
+def run(folder: Path, rule: str, seed: int, steps: int, entropy: float) -> None:
+    """A league from its start to its end."""
+    subprocess.run(
+        [
+            sys.executable, "-m", "league", "run", "--arena.name", "rock-paper-scissors", "--store", str(folder),
+            "--seed", str(seed), "--steps", str(steps), "--budget.rate", "0s",
+            "--learner.entropy", str(entropy), "--training.opponents.kind", rule, *SETTINGS,
+        ],
+        check=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def choices(folder: Path) -> dict[str, np.ndarray]:
+    """(snapshots, 3) How often each snapshot of a player chooses rock, paper and scissors, oldest first."""
+    arena, rng, found = settings("rock-paper-scissors").build(), np.random.default_rng(0), {}
+    noise = rng.normal(size=(20_000, 3))
+    with Store.open(folder) as store:
+        (league,) = store.leagues()
+        for player in store.players(league.name):
+            rows = []
+            for snapshot in store.snapshots(league.name, player.name):
+                mean, std = map(np.asarray, distribution(thaw(store, snapshot, arena)[0], np.ones((1, 1))))  # type: ignore
+                rows.append(np.bincount((mean + std * noise).argmax(1), minlength=3) / len(noise))
+            found[player.name] = np.array(rows)
+    return found
+
+
+def told(rows: np.ndarray, others: np.ndarray) -> dict[str, Any]:
+    """A player's snapshots in figures."""
+    corners = np.exp(2j * np.pi * np.arange(3) / 3)
+    steps = np.diff(np.unwrap(np.angle(rows @ corners)))
+    mixed = nash(rows @ RPS @ others.T).mass @ rows
+    return {
+        "snapshots": len(rows), "history": _far(rows.mean(0)), "nash": _far(mixed), "newest": _far(rows[-1]),
+        "mean_distance": round(float(np.mean([_far(row) for row in rows[len(rows) // 2 :]])), 3),
+        "rounds": round(float(steps.sum() / (2 * np.pi)), 2), "newest_choices": rows[-1].round(3).tolist(),
+    }  # fmt: skip
+
+
+def _far(mixture: np.ndarray) -> float:
+    """Total variation from one third each."""
+    return round(float(np.abs(mixture - 1 / 3).sum() / 2), 3)
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    options.add_argument("--rules", nargs="+", default=["latest", "uniform", "nash"])
+    options.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
+    options.add_argument("--steps", type=int, default=150_000)
+    options.add_argument("--entropy", type=float, default=0.1)
+    options.add_argument("--out", type=Path)
+    asked = options.parse_args()
+    found: dict[str, Any] = {
+        "steps": asked.steps,
+        "entropy": asked.entropy,
+        "settings": " ".join(SETTINGS),
+        "leagues": [],
+    }
+    for rule in asked.rules:
+        for seed in asked.seeds:
+            with tempfile.TemporaryDirectory() as place:
+                run(Path(place), rule, seed, asked.steps, asked.entropy)
+                rows = choices(Path(place))
+            for player, other in (("blue", "red"), ("red", "blue")):
+                row = {"rule": rule, "seed": seed, "player": player, **told(rows[player], rows[other])}
+                print(json.dumps(row), flush=True)
+                found["leagues"].append(row)
+    if asked.out:
+        asked.out.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""Whom a learner meets in its next turn, with which probability and why: what the plan draws from, and what `league
+explain` prints.
+
+Read off the store alone. Win rates and qualities come from the games that the player has learnt from
+(`storage.records.Meeting`, written in the transaction that ends a turn); predicted scores and payoffs from rating
+matches. Nothing is remembered between turns, so a restart changes nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from league.standing import Standing
+from matchmaking.meta import alpharank, nash
+from matchmaking.opponents import (
+    Mixture,
+    Opponents,
+    Qualities,
+    Records,
+    alphastar,
+    by_quality,
+    delta_uniform,
+    gaussian,
+    latest,
+    pfsp,
+    uniform,
+)
+from matchmaking.roles import is_exploiter
+from storage.records import Meeting, Player, Snapshot
+
+WIN_RATE = "win rate"
+
+
+@dataclass(frozen=True, eq=False)
+class Odds:
+    """Whom a learner meets in one other team, in those of its groups of worlds that are drawn by the rule.
+
+    `mixture.past` is over `names`; without any of them it is the present opponent.
+    """
+
+    opponent: str  # the player that sits there as it is now, "" without one
+    names: tuple[str, ...]  # (n,) of snapshots, oldest first
+    mixture: Mixture
+    read: np.ndarray | None = None  # (n,) what the rule has read: win rates, predicted scores, qualities, payoffs
+    told: str = ""  # what that is
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(n + 1,) Probabilities of the snapshots and, last, of the opponent as it is now."""
+        whole = np.append(self.mixture.past, self.mixture.present)
+        return whole / whole.sum()
+
+
+def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, opponent: str) -> Odds:
+    """The odds of a learning player in another team. `opponent` sits there now, "" for nobody."""
+    pool = _pool(opponents, standing, team)
+    names = tuple(s.name for s in pool)
+    n, read, told = len(names), None, ""
+    if not names:
+        return Odds(opponent, (), Mixture(1.0, np.zeros(0), "there is no such snapshot"))
+    match opponents.kind:
+        case "latest":
+            past, why = latest(n), "the newest snapshot"
+        case "uniform":
+            past, why = uniform(n), "every snapshot alike"
+        case "delta_uniform":
+            past, why = delta_uniform(n, opponents.delta), f"every snapshot alike but the oldest {opponents.delta:.0%}"
+        case "pfsp" | "prioritized":
+            read, told = records(opponents, standing, learner).rates(names), WIN_RATE
+            past, why = pfsp(read, opponents.weighting), f"by win rate, weighting {opponents.weighting}"
+        case "openai_five":
+            read, told = qualities(opponents, standing, learner, names), "quality"
+            past, why = by_quality(read), f"softmax of qualities, learning rate {opponents.rate:g}"
+        case "gaussian":
+            read, told = _predicted(standing, learner, pool), "predicted score"
+            past, why = (
+                gaussian(read, opponents.sigma),
+                f"normal law of the predicted score, σ = {opponents.sigma:.3g}",
+            )
+        case "nash":
+            payoffs = _payoffs(opponents, standing, standing.history(learner.name)[-1:], pool)
+            own = [s for s in standing.snapshots if s.player in _players(standing, learner.team)]
+            past, value = nash(-_payoffs(opponents, standing, own, pool).T)
+            read, told = payoffs[0], "payoff of the newest snapshot"
+            why = f"their Nash mixture against all snapshots of {learner.name}'s team, who score {-value:.3f} at best"
+        case "alpharank":
+            table = _payoffs(opponents, standing, pool, pool)
+            past, read, told = alpharank(table, opponents.alpha).mass, table.mean(1), "mean payoff among them"
+            why = f"their α-rank mass, α = {opponents.alpha:g}"
+        case "fixed":
+            past, why = np.ones(n) / n, "always the same"
+        case "alphastar":
+            known = records(opponents, standing, learner)
+            own = np.array([s.player == opponent or not opponent for s in pool])
+            exploiters = np.array([s.player in _exploiters(standing) for s in pool])
+            present = known.against(opponent).rate if opponent else None
+            read = known.rates(names)
+            mixture = alphastar(read, present, own & ~exploiters, exploiters, opponents.mix)
+            return Odds(opponent, names, mixture, read, WIN_RATE)
+    return Odds(opponent, names, Mixture(0.0, past, why), read, told)
+
+
+def records(opponents: Opponents, standing: Standing, learner: Player) -> Records:
+    """A learner's win rates by its training games so far.
+
+    A snapshot that it has not met inherits from the one that it goes on from; a player that it has not met as it is
+    now, from that one's newest snapshot.
+    """
+    parents = {s.name: s.parent for s in standing.snapshots}
+    parents |= {s.player: s.name for s in standing.snapshots if s.player}
+    known = Records(opponents.decay, opponents.shrinkage, parents)
+    for game in _games(standing, learner):
+        known.note(game.opponent, game.wins, game.draws, game.losses)
+    return known
+
+
+def qualities(opponents: Opponents, standing: Standing, learner: Player, names: Sequence[str]) -> np.ndarray:
+    """(n,) OpenAI Five's qualities of the snapshots, from the learner's games against snapshots so far."""
+    known, past = Qualities(opponents.rate), set(names)
+    games = [game for game in _games(standing, learner) if game.pool and game.opponent in past]
+    for _, played in groupby(games, key=lambda game: game.iteration):
+        turn = list(played)
+        known.add(names[: turn[0].pool])  # those that were there then, the oldest
+        known.note(
+            [(g.opponent, g.wins + g.draws / 2, g.wins + g.draws + g.losses, g.chance) for g in turn], turn[0].pool
+        )
+    return known.of(names)
+
+
+def _games(standing: Standing, learner: Player) -> list[Meeting]:
+    """A learner's training games in their order: after those of a player of its team from which it goes on."""
+    team = {p.name for p in standing.players if p.team == learner.team}
+    frozen = {s.name: s for s in standing.snapshots}
+    name, before, found = learner.name, None, []
+    for _ in range(len(frozen) + 1):  # copies could not form a circle, and if they did
+        history = [s for s in standing.history(name) if before is None or s.iteration <= before]
+        parents = [frozen.get(s.parent or "") for s in history]
+        copied = [i for i, p in enumerate(parents) if p is not None and p.player in team - {name}]
+        since = history[copied[-1]].iteration if copied else -1
+        own = [m for m in standing.meetings if m.player == name and m.iteration > since]
+        found = [m for m in own if before is None or m.iteration <= before] + found
+        if not copied or (parent := parents[copied[-1]]) is None or parent.player is None:
+            break
+        name, before = parent.player, parent.iteration
+    return found
+
+
+def _pool(opponents: Opponents, standing: Standing, team: int) -> list[Snapshot]:
+    """The snapshots that a team can be: those of its players, oldest first; or the victim, where it fits."""
+    if opponents.kind == "fixed":
+        rosters = {p.roster for p in standing.players if p.team == team}
+        return [s for s in standing.snapshots if s.name == opponents.victim and s.roster in rosters]
+    own = _players(standing, team)
+    return sorted((s for s in standing.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
+
+
+def _players(standing: Standing, team: int) -> set[str]:
+    return {p.name for p in standing.players if p.team == team}
+
+
+def _exploiters(standing: Standing) -> set[str]:
+    return {p.name for p in standing.players if is_exploiter(p.role)}
+
+
+def _predicted(standing: Standing, learner: Player, pool: Sequence[Snapshot]) -> np.ndarray:
+    """(n,) Scores of the learner as ratings predict them; ½ for whom nothing is known.
+
+    Of a snapshot that has not been rated yet those of the one that it goes on from are taken.
+    """
+    ladder, frozen = standing.ladder, {s.name: s for s in standing.snapshots}
+    played = ladder.payoff.games.sum(1) > 0
+
+    def place(snapshot: Snapshot | None) -> int | None:
+        while snapshot is not None and not played[ladder.payoff.index(snapshot.name)]:
+            snapshot = frozen.get(snapshot.parent or "")
+        return None if snapshot is None else ladder.payoff.index(snapshot.name)
+
+    mine = place(standing.history(learner.name)[-1])
+    if mine is None:
+        return np.full(len(pool), 0.5)
+    expected = ladder.ratings.expected_scores()[mine]
+    return np.array([0.5 if (at := place(s)) is None else expected[at] for s in pool])
+
+
+def _payoffs(
+    opponents: Opponents, standing: Standing, rows: Sequence[Snapshot], columns: Sequence[Snapshot]
+) -> np.ndarray:
+    """(N, M) Scores of rating matches, with the virtual draws that `shrinkage` says: ½ for those that never met."""
+    payoff = standing.ladder.payoff
+    place = np.ix_([payoff.index(s.name) for s in rows], [payoff.index(s.name) for s in columns])
+    games, extra = payoff.games[place], opponents.shrinkage
+    won = payoff.wins[place] + payoff.draws[place] / 2
+    return np.where(games > 0, (won + extra / 2) / np.maximum(games + extra, 1), 0.5)

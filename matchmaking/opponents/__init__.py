@@ -1,0 +1,25 @@
+"""Whom a learning player meets: win rates in, probabilities out. Pure functions and values; NumPy alone.
+
+`rules` has the published rules, `records` the win rates and quality scores that they read, `settings` what a league's
+configuration says. Lists of snapshots are ordered from oldest to newest.
+"""
+
+from matchmaking.opponents.records import Qualities, Record, Records
+from matchmaking.opponents.rules import (
+    Mixture,
+    Weighting,
+    alphastar,
+    by_quality,
+    delta_uniform,
+    draw,
+    gaussian,
+    latest,
+    pfsp,
+    uniform,
+)
+from matchmaking.opponents.settings import Kind, Opponents, Split
+
+__all__ = [
+    "Kind", "Mixture", "Opponents", "Qualities", "Record", "Records", "Split", "Weighting", "alphastar", "by_quality",
+    "delta_uniform", "draw", "gaussian", "latest", "pfsp", "uniform",
+]  # fmt: skip
