@@ -105,7 +105,9 @@ def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint], scores: Mapping[
     if "score" in phase.until:
         score = scores[phase.learners[0]]
         now = f"it scores {score_text(score)}" if score.games else "no episode has ended yet"
-        end += f", or before that when it surely scores above {100 * phase.until['score']:g} %: {now}"
+        sure = f"surely scores above {100 * phase.until['score']:g} %: {now}"
+        over = score.low > phase.until["score"]
+        end = f"its turn is over, for it {sure}" if over else f"{end}, or before that when it {sure}"
     verb = "learns" if len(phase.learners) == 1 else "learn"
     return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
 
