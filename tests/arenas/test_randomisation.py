@@ -81,7 +81,7 @@ def test_rovers_slide_as_far_as_their_own_friction_and_mass_let_them(engine):
         for name in ("geom_friction", "body_mass", "body_inertia"):
             getattr(model, name)[:] = np.asarray(state.physics.model[name][world])
         data.qpos[:], data.qvel[:] = qpos[world], speed
-        mujoco.mj_step(model, data, 40)
+        mujoco.mj_step(model, data, 10 * arena.timing.substeps)
         np.testing.assert_allclose(ends[world], data.qpos, atol=2e-4)
     assert np.abs(ends[0] - ends[1]).max() > 0.02
 

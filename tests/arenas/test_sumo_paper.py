@@ -103,12 +103,13 @@ def test_the_quick_starts_actions_are_clipped(duel):
     np.testing.assert_allclose(wheels(duel.arena, 3.0, -2.0), [60.0, -0.6], rtol=1e-6)
 
 
-def test_faithful_is_every_defect_and_nothing_else():
+def test_faithful_is_every_defect_and_its_steps_of_physics():
     before = arenas.settings("sumo-within-team")
     after = faithful(before)
     assert set(vars(after.rules.defects).values()) == {True}
-    assert replace(after, rules=replace(after.rules, defects=Defects(), heading="random")) == before
-    assert after.rules.heading == "fixed"
+    rules = replace(after.rules, defects=Defects(), heading="random", timestep=before.rules.timestep)
+    assert replace(after, rules=rules) == before
+    assert (after.rules.heading, after.rules.timestep) == ("fixed", 0.005)
     hashes = {replace(before, rules=rules).build(engine="c").config_hash for rules in (before.rules, after.rules)}
     assert len(hashes) == 2
 
