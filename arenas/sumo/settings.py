@@ -252,7 +252,7 @@ def _too_small(ring: float, smallest: float) -> str:
 
 
 def faithful(settings: SumoSettings) -> SumoSettings:
-    """The same arena with every defect of the original, that all robots face +y among them, and its steps of physics."""
+    """The same arena with every defect of the original, all robots facing +y, and its steps of physics."""
     defects = Defects(**{each.name: True for each in fields(Defects)})
     return replace(settings, rules=replace(settings.rules, defects=defects, heading="fixed", timestep=0.005))
 
