@@ -3,6 +3,8 @@
 import os
 import signal
 
+import pytest
+
 from storage.store import Store
 from tests.league.conftest import PUCKS, call, start, wait_for
 
@@ -29,6 +31,7 @@ def results(folder):
         )
 
 
+@pytest.mark.slow  # two minutes of two cores
 def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
     undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
     undisturbed.mkdir()
