@@ -13,6 +13,7 @@ from storage.errors import NotAStore, StorageError
 BLOBS = "ROBOT_LEAGUE_BLOBS"  # the environment variable that says where blobs are kept
 FILE = "league.db"  # the database of a store that is a folder
 
+_SQLITE = b"SQLite format 3\0"  # how its files begin
 _POSSIBLE = "a folder, sqlite:///path/to/league.db or postgresql://user@host/database is possible"
 _SECRET = re.compile(r"(?i)pass|secret|token")
 
@@ -75,6 +76,28 @@ def blobs_place(given: str | os.PathLike[str] | None, url: sa.URL) -> str:
     raise StorageError(
         f"{shown(url)}: say where its blobs are kept, a folder that every host sees: --blobs FOLDER, or {BLOBS}."
     )
+
+
+def are_apart(blobs: str, url: sa.URL) -> bool:
+    """Whether blobs are surely of this store alone: beside its SQLite file, where no other database is."""
+    if url.get_backend_name() != "sqlite" or looks_like_url(blobs):
+        return False
+    file = Path(shown(url))
+    try:
+        others = [path for path in file.parent.iterdir() if path != file] if file.parent.is_dir() else []
+    except OSError:
+        return False
+    return Path(blobs).absolute() == file.parent / "blobs" and not any(map(_may_be_database, others))
+
+
+def _may_be_database(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_SQLITE)) == _SQLITE
+    except OSError:
+        return True
 
 
 def _parsed(text: str) -> sa.URL:
