@@ -40,6 +40,9 @@ COMMANDS = {
     "check": ("league.commands.check", "examine an arena, ours or your own: league check file.py:name"),
 }
 
+LINE = 3000
+"""Characters of an error at most: names that somebody gave stand in it as they are, and lists of what is possible."""
+
 
 def main(argv: list[str] | None = None) -> None:
     """Run a command and exit: 0 when it did what was asked, 2 after bad input, 130 after Ctrl-C."""
@@ -83,7 +86,7 @@ def _dispatch(args: list[str]) -> int:
 
         near = get_close_matches(name, COMMANDS, 1)
         hint = f"did you mean {near[0]}? " if near else ""
-        print(f"league: unknown command {name!r}: {hint}(commands: {', '.join(COMMANDS)})", file=sys.stderr)
+        print(f"league: unknown command {name[:80]!r}: {hint}(commands: {', '.join(COMMANDS)})", file=sys.stderr)
         return 2
     before = signal.getsignal(signal.SIGINT)
     if before == signal.default_int_handler:  # nothing has been begun that would have to be ended in order
@@ -122,6 +125,7 @@ def _is_expected(error: Exception) -> bool:
 
 def _one_line(error: Exception) -> str:
     text = " ".join(str(error).split())
+    text = text if len(text) <= LINE else f"{text[: LINE - 300]} ... {text[-200:]}"
     return text if _is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
 
 
