@@ -6,7 +6,9 @@ import threading
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
+from storage import tables as t
 from storage.blobs import Entry, open_blobs
 from storage.errors import StorageError
 from storage.records import Checkpoint
@@ -222,3 +224,21 @@ def test_several_that_thin_at_once_do_it_once(folder: Path):
     with Store.open(folder) as store:
         assert len(store.checkpoints("cup")) == 2
         assert [m.recording for m in store.matches("cup")] == [None] * 3
+
+
+def test_every_database_is_thinned_alike(place: tuple[str, str]):
+    where, blobs = place
+    with Store.open(where, create=True, blobs=blobs) as store:
+        sound.fill(store)
+        store.blobs.put(b"stray")
+        with store._db.writing() as db:
+            for table, column in ((t.checkpoints, "created"), (t.matches, "created"), (t.workers, "seen")):
+                db.execute(sa.update(table).values({column: table.c[column] - 2 * DAY}))
+        for path in Path(blobs).rglob("*"):
+            if path.is_file():
+                older(path)
+        before = store.totals("cup", "rating")
+        done = store.thin(store.waste(policy(1, recordings=1)))
+        assert done == Done(2, 1, 1, 4, 0, done.bytes)
+        assert store.totals("cup", "rating") == before
+    assert verify(where, blobs, age=0).findings == []
