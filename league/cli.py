@@ -30,6 +30,8 @@ COMMANDS = {
     "play": ("league.commands.play", "an exhibition between two snapshots, recorded and not rated"),
     "exploit": ("league.commands.exploit", "train a fresh attacker against one frozen policy: how much does it take?"),
     "sprt": ("league.commands.sprt", "a sequential test of who is better, for seed pairs that you have counted"),
+    "verify": ("league.commands.verify", "whether all that a store has is there and whole; changes nothing"),
+    "thin": ("league.commands.thin", "remove what a store can do without: orphans, old checkpoints, recordings"),
     "pack": ("league.commands.moving", "a league, or all leagues of a store, as one file"),
     "unpack": ("league.commands.moving", "the leagues in such a file, added to a store"),
     "export": ("league.commands.exchange", "a frozen policy as a safetensors file, with its card"),
@@ -37,6 +39,9 @@ COMMANDS = {
     "arenas": ("league.commands.arenas", "the arenas; of one that is named, all about it"),
     "check": ("league.commands.check", "examine an arena, ours or your own: league check file.py:name"),
 }
+
+LINE = 3000
+"""Characters of an error at most: names that somebody gave stand in it as they are, and lists of what is possible."""
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -81,7 +86,7 @@ def _dispatch(args: list[str]) -> int:
 
         near = get_close_matches(name, COMMANDS, 1)
         hint = f"did you mean {near[0]}? " if near else ""
-        print(f"league: unknown command {name!r}: {hint}(commands: {', '.join(COMMANDS)})", file=sys.stderr)
+        print(f"league: unknown command {name[:80]!r}: {hint}(commands: {', '.join(COMMANDS)})", file=sys.stderr)
         return 2
     before = signal.getsignal(signal.SIGINT)
     if before == signal.default_int_handler:  # nothing has been begun that would have to be ended in order
@@ -120,6 +125,7 @@ def _is_expected(error: Exception) -> bool:
 
 def _one_line(error: Exception) -> str:
     text = " ".join(str(error).split())
+    text = text if len(text) <= LINE else f"{text[: LINE - 300]} ... {text[-200:]}"
     return text if _is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
 
 

@@ -4,26 +4,39 @@ A blob appears whole or not at all and never changes, so any number of processes
 killed writer leaves at most a file whose name starts with a dot, which nothing reads.
 """
 
+import errno
 import hashlib
 import os
 import re
 import secrets
 import stat
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 from urllib.parse import unquote, urlsplit
 
 from storage.errors import Away, DamagedBlob, StorageError, disk_error
 from storage.places import looks_like_url, shown_text
 
 _DIGEST = re.compile(r"[0-9a-f]{64}")
+_FOLDER = re.compile(r"[0-9a-f]{2}")
+_PARTIAL = re.compile(r"\.[0-9a-f]{8}\.[0-9a-f]{16}")
+
+
+class Entry(NamedTuple):
+    """A file among blobs."""
+
+    name: str  # a blob's digest, or the path of what a writer left that was killed
+    bytes: int
+    put: float  # when it was put last, s since the epoch on the disk's clock
+    whole: bool = True  # a blob, and not what was left
 
 
 class Blobs(Protocol):
-    """Three verbs; a blob's name is the SHA-256 of its bytes in hexadecimal."""
+    """A blob's name is the SHA-256 of its bytes in hexadecimal."""
 
     def put(self, data: bytes) -> str:
-        """Keep the bytes durably and return their digest. Putting the same bytes again changes nothing.
+        """Keep the bytes durably and return their digest. Put again, the same bytes are new once more, as files go.
 
         Raises Away when the disk is full or cannot be reached now.
         """
@@ -35,6 +48,17 @@ class Blobs(Protocol):
 
     def has(self, digest: str) -> bool:
         """Whether a blob of that name is here (its bytes are not checked)."""
+        ...
+
+    def entries(self) -> Iterator[Entry]:
+        """All blobs, and what killed writers left, in no order. Raises Away where there is no folder, as `get`."""
+        ...
+
+    def remove(self, entry: Entry, before: float) -> bool:
+        """Delete what was put last before that time, on the disk's clock; False where it is gone or was put again.
+
+        Whoever puts the same bytes meanwhile has them there afterwards. Raises StorageError, Away as `put`.
+        """
         ...
 
 
@@ -60,7 +84,7 @@ class FolderBlobs:
         digest = hashlib.sha256(data).hexdigest()
         path = self._path(digest)
         try:
-            if not (path.is_file() and path.read_bytes() == data):
+            if not (path.is_file() and _read(path) == data and _touch(path)):
                 _write_whole(path, data)
         except OSError as error:
             raise disk_error(f"Cannot write a blob of {len(data)} bytes to {path}", error) from error
@@ -70,12 +94,9 @@ class FolderBlobs:
         """See Blobs."""
         path = self._path(digest)
         try:
-            data = path.read_bytes()
+            data = _read(path)
         except FileNotFoundError:
-            if not self.folder.exists():
-                raise Away(
-                    f"The folder of blobs is not there (another place, a disk not mounted?): {self.folder}"
-                ) from None
+            self._require_folder()
             raise DamagedBlob(digest, str(path), "missing") from None
         except OSError as error:
             if isinstance(away := disk_error(f"Cannot read blob {digest} at {path}", error), Away):
@@ -95,10 +116,82 @@ class FolderBlobs:
         except OSError as error:
             raise disk_error(f"Cannot look for blob {digest} at {path}", error) from error
 
+    def entries(self) -> Iterator[Entry]:
+        """See Blobs. What is no file, or has a name that no blob has, is passed over."""
+        try:
+            self._require_folder()
+            for folder in sorted(path for path in self.folder.iterdir() if _FOLDER.fullmatch(path.name)):
+                yield from _files(folder)
+        except OSError as error:
+            raise disk_error(f"Cannot list the blobs in {self.folder}", error) from error
+
+    def remove(self, entry: Entry, before: float) -> bool:
+        """See Blobs."""
+        path = self._path(entry.name) if entry.whole else Path(entry.name)
+        # Moved aside, its time no longer changes: who puts these bytes from here on writes them anew.
+        aside = path.with_name(f".{path.name[:8]}.{secrets.token_hex(8)}") if entry.whole else path
+        try:
+            if entry.whole:
+                os.rename(path, aside)
+            if aside.stat().st_mtime < before:
+                aside.unlink()
+                return True
+            if entry.whole:
+                os.replace(aside, path)
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            raise disk_error(f"Cannot remove {path}", error) from error
+        return False
+
+    def _require_folder(self) -> None:
+        if not self.folder.exists():
+            raise Away(f"The folder of blobs is not there (another place, a disk not mounted?): {self.folder}")
+
     def _path(self, digest: str) -> Path:
         if not _DIGEST.fullmatch(digest):
             raise StorageError(f"{digest!r} is not a blob's name, which is 64 hexadecimal digits (SHA-256).")
         return self.folder / digest[:2] / digest[2:]
+
+
+def _files(folder: Path) -> Iterator[Entry]:
+    """The blobs in one of the folders, and what killed writers left there."""
+    if not folder.is_dir():
+        return
+    for path in folder.iterdir():
+        digest = folder.name + path.name
+        partial = _PARTIAL.fullmatch(path.name) is not None
+        if not (partial or _DIGEST.fullmatch(digest)):
+            continue
+        try:
+            about = path.stat()
+        except FileNotFoundError:  # renamed or removed meanwhile
+            continue
+        if stat.S_ISREG(about.st_mode):
+            yield Entry(str(path) if partial else digest, about.st_size, about.st_mtime, not partial)
+
+
+def _read(path: Path) -> bytes:
+    """A file's bytes; raises OSError for what is none, instead of waiting for a pipe that nobody fills."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "it is no file")
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            return file.read()
+    finally:
+        os.close(descriptor)
+
+
+def _touch(path: Path) -> bool:
+    """Say that a blob is wanted now, lest it is removed before a row names it; False where it is gone."""
+    try:
+        os.utime(path)
+    except FileNotFoundError:
+        return False
+    except PermissionError:  # another user's, who alone may do that
+        return True
+    return True
 
 
 def _write_whole(path: Path, data: bytes) -> None:

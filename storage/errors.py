@@ -59,7 +59,7 @@ class DamagedBlob(StorageError):
 
     def __init__(self, digest: str, place: str, fault: str):
         super().__init__(f"Blob {digest} is {fault}: {place}")
-        self.digest = digest
+        self.digest, self.fault = digest, fault
 
 
 class LeaseLost(StorageError):

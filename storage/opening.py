@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+import stat
 import time
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,50 @@ def open_database(url: sa.URL, create: bool) -> sa.Engine:
     return engine
 
 
+def open_unchanged(url: sa.URL) -> sa.Engine:
+    """Connect to the database at `url`, whatever is in it, in a way by which nothing there can change.
+
+    Its schema is not looked at, nor brought up to date. Text in SQLite need not be UTF-8: odd bytes come as surrogates.
+
+    Raises NotAStore where there is no file, StorageError (no driver).
+    """
+    where = shown(url)
+    if url.get_backend_name() != "sqlite":
+        options = url.query.get("options", "")
+        given = options if isinstance(options, str) else " ".join(options)
+        only = f"{given} -c default_transaction_read_only=on".strip()
+        return _server_engine(url.update_query_dict({"options": only}), where)
+    path = Path(where)
+    try:
+        _require_file(path, where)
+        log = Path(f"{where}-wal")
+        for beside in (log, Path(f"{where}-shm"), Path(f"{where}-journal")):
+            if beside.exists() and not beside.is_file():
+                raise StorageError(f"{beside} is no file, but SQLite keeps one there.")
+        # Who may write puts what a crash left in the log into the file, and removes the log; who may not needs one.
+        mode = "ro" if log.exists() and log.stat().st_size else "rw"
+    except OSError as error:
+        raise disk_error(f"Cannot open a store at {where}", error) from error
+    engine = _sqlite_engine(_file_url(path, mode))
+
+    @event.listens_for(engine, "connect")
+    def _connect(connection: Any, _: Any) -> None:
+        connection.execute("PRAGMA query_only = ON")
+        connection.text_factory = lambda data: data.decode(errors="surrogateescape")
+
+    return engine
+
+
+def _require_file(path: Path, where: str) -> None:
+    """Raise NotAStore unless a file is there, before anything waits for a pipe that nobody fills."""
+    if not path.exists():
+        raise NotAStore(f"No league store at {where}: `league run` makes one.")
+    if path.is_dir():
+        raise NotAStore(f"{where} is a folder, not a database file: give the folder itself or a file in it.")
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise NotAStore(f"{where} is no file, and so no database.")
+
+
 def _file_url(path: Path, mode: str) -> sa.URL:
     return sa.URL.create("sqlite", database=path.as_uri(), query={"mode": mode, "uri": "true"})
 
@@ -53,13 +98,10 @@ def _look_at_file(url: sa.URL, create: bool) -> int:
     where = shown(url)
     path = Path(where)
     try:
-        if not path.exists():
-            if not create:
-                raise NotAStore(f"No league store at {where}: `league run` makes one.")
+        if create and not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             return 0
-        if path.is_dir():
-            raise NotAStore(f"{where} is a folder, not a database file: give the folder itself or a file in it.")
+        _require_file(path, where)
     except OSError as error:
         raise disk_error(f"Cannot {'make' if create else 'open'} a store at {where}", error) from error
     engine = _sqlite_engine(_file_url(path, "ro"))

@@ -13,13 +13,17 @@ from storage.errors import NotAStore, StorageError
 BLOBS = "ROBOT_LEAGUE_BLOBS"  # the environment variable that says where blobs are kept
 FILE = "league.db"  # the database of a store that is a folder
 
+_SQLITE = b"SQLite format 3\0"  # how its files begin
 _POSSIBLE = "a folder, sqlite:///path/to/league.db or postgresql://user@host/database is possible"
+_CREDENTIALS = re.compile(r"(?i):.*@|(pass|secret|token)\w*=")  # name:password@host, ?password=
 _SECRET = re.compile(r"(?i)pass|secret|token")
 
 
 def looks_like_url(text: str) -> bool:
     """Whether a place is written as a URL, well or badly; then it is never taken for the name of a folder."""
-    return "://" in text or re.match(r"\s*([A-Za-z][A-Za-z0-9+.-]+:|(sqlite|postgres\w*)(\+\w+)?//)", text) is not None
+    if "://" in text or re.match(r"\s*([A-Za-z][A-Za-z0-9+.-]+:|(sqlite|postgres\w*)(\+\w+)?//)", text):
+        return True
+    return not text.startswith((".", "/", "~")) and _CREDENTIALS.search(text) is not None
 
 
 def database_url(where: str | os.PathLike[str]) -> sa.URL:
@@ -28,6 +32,8 @@ def database_url(where: str | os.PathLike[str]) -> sa.URL:
     Raises NotAStore for a file in a folder's place, StorageError for a URL that cannot be one of a store.
     """
     text = os.fspath(where)
+    if not text.strip():
+        raise StorageError(f"An empty text is the place of no store: {_POSSIBLE}.")
     if looks_like_url(text):
         return _parsed(text)
     folder = Path(text).absolute()
@@ -52,6 +58,7 @@ def shown_place(where: str) -> str:
 
 def shown_text(text: str) -> str:
     """A URL that may not be well formed, less all that may be a password (a number without `@` is taken for a port)."""
+    text = re.sub(r"(?is)((?:pass|secret|token)\w*)=.*", r"\1=***", text)
     start, colon, rest = text.partition(":")
     slashes = "//" if rest.startswith("//") else ""
     before, at, host = rest.rpartition("@")
@@ -77,6 +84,28 @@ def blobs_place(given: str | os.PathLike[str] | None, url: sa.URL) -> str:
     )
 
 
+def are_apart(blobs: str, url: sa.URL) -> bool:
+    """Whether blobs are surely of this store alone: beside its SQLite file, where no other database is."""
+    if url.get_backend_name() != "sqlite" or looks_like_url(blobs):
+        return False
+    file = Path(shown(url))
+    try:
+        others = [path for path in file.parent.iterdir() if path != file] if file.parent.is_dir() else []
+    except OSError:
+        return False
+    return Path(blobs).absolute() == file.parent / "blobs" and not any(map(_may_be_database, others))
+
+
+def _may_be_database(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_SQLITE)) == _SQLITE
+    except OSError:
+        return True
+
+
 def _parsed(text: str) -> sa.URL:
     try:
         url = make_url(text)
@@ -89,9 +118,15 @@ def _parsed(text: str) -> sa.URL:
     if backend not in ("sqlite", "postgresql"):
         raise StorageError(f"Cannot keep a store at {shown_text(text)}: {_POSSIBLE}.")
     if backend == "sqlite" and (
-        not url.database or url.database == ":memory:" or url.database.startswith("file:") or url.host
+        not url.database
+        or url.database == ":memory:"
+        or url.database.startswith("file:")
+        or any((url.host, url.username, url.password))
+        or re.match(r"(?![/.])[^:]*:.*@", url.database)  # name:password@host, after a / too many
     ):
         raise StorageError("A store is shared by processes: give a file, as in sqlite:///runs/league.db.")
+    if re.search(r"(?i)(pass|secret|token)\w*=", text.partition("?")[0]):
+        raise StorageError(f"{shown_text(text)!r}: in a URL settings, such as a password, follow a ?; {_POSSIBLE}.")
     server = text.partition("://")[2]
     if backend == "postgresql" and server.count("@") != min(1, re.split("[/?#]", server)[0].count("@")):
         # What is cut at the wrong @ would show a part of the password as the name of the host.

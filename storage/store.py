@@ -17,7 +17,7 @@ from typing import Any, Self
 import sqlalchemy as sa
 
 from storage import jobs as leases
-from storage import moving, rows
+from storage import moving, rows, thinning
 from storage import tables as t
 from storage.blobs import Blobs, open_blobs
 from storage.database import Database
@@ -463,6 +463,16 @@ class Store:
         with self._db.writing() as db:
             for name, rows_of_it in tables:
                 moving.load(db, moving.TABLES[name], rows_of_it)
+
+    # Thinning
+
+    def waste(self, policy: thinning.Policy) -> thinning.Waste:
+        """What can go by that policy; changes nothing. Raises StorageError where rows are damaged."""
+        return thinning.find(self._db, self.blobs, policy)
+
+    def thin(self, waste: thinning.Waste, tell: thinning.Tell = lambda *_: None) -> thinning.Done:
+        """Remove what was found, less what has been put or named since; how much that was. Rows go before blobs."""
+        return thinning.remove(self._db, self.blobs, waste, tell)
 
     def _set_league(self, name: str, *where: Any, **values: Any) -> bool:
         """Change the league's own row where it fulfils the conditions; whether it did. Raises UnknownName."""

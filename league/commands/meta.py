@@ -49,7 +49,7 @@ class MetaOptions(Where):
     league's rating matches)."""
     solver: Literal["nash", "alpharank"] = "nash"
     """The maximum-entropy Nash equilibrium of the zero-sum game, or the mass of alpha-rank."""
-    alpha: float | None = field(default=None, metadata={"above": 0.0})
+    alpha: float | None = field(default=None, metadata={"above": 0.0, "high": 1e308})
     """alpha-rank's selection intensity (none: 100)."""
     population: int | None = field(default=None, metadata={"low": 2, "high": 100_000})
     """alpha-rank's population (none: 50)."""

@@ -157,6 +157,8 @@ def from_text(text: str, hint: Any, key: Key) -> Any:
         return next((arg for arg in get_args(kind) if str(arg) == text), text)
     if kind is bool and text.lower() in TRUTHS:
         return TRUTHS[text.lower()]
+    if kind in (int, float) and not text.isascii():
+        return text  # digits of other scripts, which Python takes and a file does not
     try:
         return {int: int, float: float}.get(kind, str)(text)
     except ValueError:

@@ -6,7 +6,10 @@ import re
 UNITS = {"d": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
 """Seconds in each unit, longest first; a duration names its units in this order."""
 
-_NUMBER = r"(\d+(?:\.\d+)?)"
+LONGEST = 100 * 366 * UNITS["d"]
+"""Seconds: nobody waits for a century."""
+
+_NUMBER = r"([0-9]+(?:\.[0-9]+)?)"
 _PATTERN = re.compile("".join(rf"(?:{_NUMBER}{unit})?" for unit in UNITS))
 
 
@@ -14,18 +17,26 @@ def seconds(duration: float | str) -> float:
     """Return a duration in seconds: a number of seconds, its text, or text with units such as `"1h30m"`.
 
     Raises:
-        ValueError: the duration is negative, not finite, or not written in one of these ways.
+        ValueError: the duration is negative, not finite, beyond a century, or not written in one of these ways.
     """
-    if isinstance(duration, str):
-        text = duration.strip().lower()
-        parts = _PATTERN.fullmatch(text)
-        if text and parts:
-            return sum(float(part) * size for part, size in zip(parts.groups(), UNITS.values(), strict=True) if part)
-        if re.fullmatch(_NUMBER, text):
-            return float(text)
-    elif not isinstance(duration, bool) and math.isfinite(duration) and duration >= 0:
-        return float(duration)
     given = f'"{duration}"' if isinstance(duration, str) else str(duration)
+    given = given if len(given) <= 80 else f"{given[:60]} ..."
+    found = _seconds(duration)
+    if found is not None and found > LONGEST:
+        raise ValueError(f"{given} is longer than a century")
+    if found is not None:
+        return found
     raise ValueError(
         f'{given} is not a duration: write 90, "90s", "5m", "1h30m" or "2d" (units in the order d, h, m, s)'
     )
+
+
+def _seconds(duration: float | str) -> float | None:
+    """The same, infinite where it is beyond all numbers; None for what is no duration."""
+    if not isinstance(duration, str):
+        fits = not isinstance(duration, bool) and math.isfinite(duration) and duration >= 0
+        return float(duration) if fits else None
+    text = duration.strip().lower()
+    if text and (parts := _PATTERN.fullmatch(text)):
+        return sum(float(part) * size for part, size in zip(parts.groups(), UNITS.values(), strict=True) if part)
+    return float(text) if re.fullmatch(_NUMBER, text) else None

@@ -9,7 +9,7 @@ must satisfy stands in the field's metadata:
 `low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
 function that raises ValueError on values it does not take. What concerns several fields goes into `__post_init__`,
 which raises ValueError("field: message") or ValueError("table.field: message"), or any other message to speak of the
-whole table. Numbers are finite.
+whole table. Numbers are finite, and where they have no upper bound of their own at most LARGEST, whole ones 64 bits.
 """
 
 import ast
@@ -27,6 +27,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 Key = tuple[str, ...]
 UNSET = "none"
 """The word that stands for None: TOML has no null."""
+
+LARGEST = 1e12
+"""More than this is meant by nobody, of any quantity: squares of what is not much larger overflow single precision."""
+ECHOED = 200  # characters of a value that an error repeats
 
 WORDS: dict[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes", Path: "a path in quotes"
@@ -156,7 +160,12 @@ def bounds(metadata: Mapping[str, Any]) -> str:
 
 def refuse(key: Key, value: Any, reason: object) -> ConfigError:
     """Say which setting was given which value and why that cannot be."""
-    return ConfigError(key, f"{dotted(key)} = {literal(value)}: {reason}")
+    return ConfigError(key, f"{dotted(key)} = {cut(literal(value))}: {reason}")
+
+
+def cut(text: str) -> str:
+    """A text that is repeated to who gave it, less the middle of a long one."""
+    return text if len(text) <= ECHOED else f"{text[:120]} ... {text[-20:]} ({len(text):,} characters)"
 
 
 def _all(value: Any, holds: Callable[[Any], bool]) -> bool:
@@ -187,6 +196,11 @@ def check_value(value: Any, metadata: Mapping[str, Any], key: Key) -> None:
     limits = [(holds, metadata[name]) for name, (_, holds) in BOUNDS.items() if name in metadata]
     if not _all(value, lambda each: all(holds(each, bound) for holds, bound in limits)):
         raise refuse(key, value, f"must be {bounds(metadata)}")
+    if not metadata.keys() & {"high", "below"}:
+        if not _all(value, lambda each: not isinstance(each, float) or abs(each) <= LARGEST):
+            raise refuse(key, value, f"must be between {-LARGEST:g} and {LARGEST:g}")
+        if not _all(value, lambda each: not isinstance(each, int) or abs(each) < 2**63):
+            raise refuse(key, value, "is beyond 64 bits")
     try:
         metadata.get("valid", lambda _: None)(value)
     except ValueError as error:

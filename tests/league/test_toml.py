@@ -121,7 +121,7 @@ def test_deeper_tables_carry_their_whole_name():
         Experiment(),
         Experiment(seed=-(2**62), deterministic=True, opponent=None, name='quoted "é" \\ \x7f \t\n#[x]'),
         Experiment(name="", learner=Learner(lr=math.pi * 1e-300, network=Network((), gain=0.1 + 0.2))),
-        Experiment(best=Learner(optimiser="sgd", lr=1e22, network=Network((1,), gain=None))),
+        Experiment(best=Learner(optimiser="sgd", lr=1e-22, network=Network((1,), gain=None))),
         Experiment(learner=Learner(lr=5e-324), crew=(Seat("a"), Seat("b", (1, 2), Network(gain=None))), crews=()),
         Experiment(arena=Sumo(radius=math.nextafter(2, 3), spread=(0, 1))),
     ],

@@ -1,0 +1,284 @@
+"""The rows of a store, read and examined as if they came from a stranger, whatever has become of the database.
+
+Values are read as they lie there, of no type. What cannot be read is a finding, and what can be read beside it is read.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import sqlalchemy as sa
+
+from storage import moving
+from storage import tables as t
+from storage.archive import shortened
+from storage.database import Database, plain_errors
+from storage.errors import Away, NewerStore, NotAStore, OldStore, StorageError
+from storage.possible import check_possible
+
+Tell = Callable[[str, int, int | None], None]
+"""Is told how it goes on: of what, how much, and of how much (None: that is not known)."""
+Kind = Literal["missing", "orphaned", "corrupt"]
+
+PAGES = 100  # complaints of SQLite about its file that are told
+
+
+class Finding(NamedTuple):
+    """Something that is not as it should be."""
+
+    kind: Kind
+    place: str  # such as "database", "matches cup/17" or "blob 01ab..."
+    problem: str
+    bytes: int = 0  # of what is orphaned
+
+
+@dataclass
+class Report:
+    """What was looked at, and what was found."""
+
+    where: str
+    rows: int = 0
+    blobs: int = 0  # that rows name
+    recordings: int = 0  # those of them that are recordings
+    told: bool = True  # whether it is known what is orphaned
+    findings: list[Finding] = field(default_factory=list)
+
+    def add(self, kind: Kind, place: str, problem: object, size: int = 0) -> None:
+        """Add a finding, as text that any terminal takes."""
+        self.findings.append(Finding(kind, _plain(place), _plain(problem), size))
+
+
+class Use(NamedTuple):
+    """A row that names a blob."""
+
+    table: str
+    place: str
+    sides: frozenset[str]  # of a match
+    script: str | None  # of a snapshot
+
+
+class Rows:
+    """The rows of a store, examined as if they came from a stranger."""
+
+    def __init__(self, database: Database, report: Report, tell: Tell, has_blobs: bool):
+        self._database, self._report, self._tell, self._has_blobs = database, report, tell, has_blobs
+        self._check = moving.Check((), ())
+        self._named: dict[str, Use] = {}
+        self._counted: dict[str, object] = {}  # league -> how many matches it counts
+        self._there = Counter[object]()  # league -> how many there are
+
+    def read(self) -> Mapping[str, Use]:
+        """Read all tables; by which rows blobs are named. Raises StorageError where there is no store."""
+        with self._database.unchanging() as db:
+            columns = self._tables(db)
+            if columns is None:
+                return self._named
+            if db.dialect.name == "sqlite":
+                self._attempt(db, "database", lambda: self._check_file(db))
+            for table in (*moving.TABLES.values(), t.workers):
+                if (there := columns.get(table.name)) is None:
+                    self._lose("missing", f"table {table.name}", "the database has no such table")
+                else:
+                    self._attempt(
+                        db, f"table {table.name}", lambda table=table, there=there: self._read(db, table, there)
+                    )
+        for league, counted in self._counted.items():
+            if self._report.told and counted != self._there[league]:
+                problem = f"it counts {counted} matches, and the rows of {self._there[league]} are there"
+                self._report.add("corrupt", f"leagues {league}", problem)
+        return self._named
+
+    def _lose(self, kind: Kind, place: str, problem: object) -> None:
+        """Add a finding by which some rows were not read."""
+        self._report.add(kind, place, problem)
+        self._report.told = False
+
+    def _attempt(self, db: sa.Connection, place: str, read: Callable[[], None]) -> None:
+        """Do it, or tell why not. A server that has gone is no fault of the store."""
+        try:
+            with plain_errors(self._report.where):
+                read()
+        except StorageError as error:
+            if isinstance(error, Away) and db.dialect.name != "sqlite":
+                raise
+            self._lose("corrupt", place, f"cannot be read: {_cause(error, self._report.where)}")
+            db.rollback()
+
+    def _tables(self, db: sa.Connection) -> dict[str, set[str]] | None:
+        """The columns of each table; None where nothing of the database can be read."""
+        try:
+            with plain_errors(self._report.where):
+                columns = _columns(db)
+                schema = _schema(db) if t.changes.name in columns else None
+        except StorageError as error:
+            if isinstance(error, Away) and db.dialect.name != "sqlite":
+                raise
+            cause = _cause(error, self._report.where)
+            if "not a database" in cause and not self._has_blobs:
+                raise NotAStore(f"{self._report.where} is not a league store, nor any SQLite database.") from None
+            self._lose("corrupt", "database", f"cannot be read: {cause}")
+            return None
+        known = columns.keys() & t.metadata.tables.keys()
+        if len(known) < 3:  # one or two names may be those of any database
+            if columns and not self._has_blobs:
+                other = min(columns)
+                raise NotAStore(f"{self._report.where} is a database of something else (it has {other!r}).")
+            if not self._has_blobs:
+                raise NotAStore(f"No league store at {self._report.where}: `league run` makes one.")
+            self._lose("missing", "database", "it is empty, but blobs are there")
+            return None
+        self._check_schema(columns, schema)
+        return columns
+
+    def _check_schema(self, columns: Mapping[str, set[str]], schema: object) -> None:
+        if t.changes.name not in columns:
+            self._report.add("missing", f"table {t.changes.name}", "the database has no such table")
+        elif not isinstance(schema, int) or schema < 1:
+            self._report.add("corrupt", f"table {t.changes.name}", f"{schema!r} is no number of a schema")
+        elif schema > t.newest_schema():
+            raise NewerStore(self._report.where, schema, t.newest_schema())
+        elif schema < t.FIRST_SCHEMA:
+            raise OldStore(self._report.where, schema, t.FIRST_SCHEMA)
+        elif schema < t.newest_schema():
+            raise StorageError(
+                f"{self._report.where} has schema {schema}, and today's is {t.newest_schema()}: `league status` brings"
+                " it up to date; what verifies changes nothing."
+            )
+
+    def _check_file(self, db: sa.Connection) -> None:
+        """SQLite's own examination of its file: pages, cells, indexes."""
+        ticks = 0
+
+        def tick() -> None:
+            nonlocal ticks
+            ticks += 1
+            self._tell("SQLite's integrity check, million steps", ticks, None)
+
+        raw: Any = db.connection.dbapi_connection
+        raw.set_progress_handler(tick, 1_000_000)
+        try:
+            for (line,) in db.exec_driver_sql(f"PRAGMA integrity_check({PAGES})"):
+                if line != "ok":
+                    self._lose("corrupt", "database", line)
+        finally:
+            raw.set_progress_handler(None, 0)
+
+    def _read(self, db: sa.Connection, table: sa.Table, there: set[str]) -> None:
+        """Examine the rows of a table that has these columns."""
+        chosen = [column for column in table.columns if column.name in there]
+        for column in table.columns:
+            if column.name not in there:
+                self._report.add("missing", f"table {table.name}", f"it has no column {column.name!r}")
+                self._report.told &= column.name != moving.BLOBS.get(table.name)
+        whole = len(chosen) == len(table.columns)
+        # Of no type, so that the values come as they are.
+        query = sa.select(*(sa.type_coerce(column, sa.types.NullType()).label(column.name) for column in chosen))
+        if whole and table.name in moving.ORDER:
+            query = query.order_by(*moving.ORDER[table.name])
+        found = db.execute(query, execution_options={"yield_per": moving.BATCH}).mappings()
+        for done, row in enumerate(found, start=1):
+            self._tell(table.name, done, None)
+            self._report.rows += 1
+            self._row(table, dict(row), whole, db.dialect.name)
+
+    def _row(self, table: sa.Table, row: dict[str, Any], whole: bool, dialect: str) -> None:
+        place = _place(table.name, row)
+        self._name(table.name, row, place)
+        if table is t.leagues:
+            self._check.leagues.add(row.get("name", ""))
+            if isinstance(row.get("name"), str) and "matches" in row:
+                self._counted[row["name"]] = row["matches"]
+        if table is t.matches:
+            self._there[row.get("league")] += 1
+        try:
+            if not whole:
+                raise ValueError
+            self._examine(table, {c.name: _value(c, row[c.name], dialect) for c in table.columns})
+        except (ValueError, TypeError, LookupError, RecursionError, OverflowError) as error:
+            if whole:
+                self._report.add("corrupt", place, error)
+            self._check.excuse(table.name, row)
+
+    def _examine(self, table: sa.Table, row: dict[str, Any]) -> None:
+        """Raise ValueError, with what is wrong, for a row that cannot be one of a store."""
+        leased = table is t.jobs and row["state"] == "leased"
+        if leased and (row["holder"] is None or row["lease_until"] is None):
+            raise ValueError("it is leased, to nobody or for ever")
+        row |= {"state": "queued"} if leased else {}  # as it would travel
+        for column in table.columns:
+            try:
+                moving.check_value(column, row[column.name], table.name)
+            except ValueError as error:
+                raise ValueError(f"{column.name} {error}") from None
+        check_possible(table.name, row)
+        if table is not t.leagues and row["league"] not in self._check.leagues:
+            raise ValueError(f"league {row['league']!r} is not there")
+        if table is not t.workers:
+            self._check.examine(table.name, {c.name: row[c.name] for c in moving.columns(table)})
+
+    def _name(self, table: str, row: Mapping[str, Any], place: str) -> None:
+        """Note which blob a row names. A name that is none is told of as the row's fault."""
+        column = moving.BLOBS.get(table)
+        if column is None or (table == "matches" and row.get(column) is None):
+            return
+        digest = row.get(column)
+        if not (isinstance(digest, str) and moving.is_digest(digest)):
+            self._report.told = False  # which blob it was nobody knows
+            return
+        self._check.blobs.add(digest)
+        sides = frozenset(str(row.get(side)) for side in ("a", "b") if row.get(side) is not None)
+        self._named.setdefault(digest, Use(table, place, sides, row.get("script")))
+
+
+def _columns(db: sa.Connection) -> dict[str, set[str]]:
+    """The names of a database's columns by table, without reading more of its schema than that."""
+    if db.dialect.name != "sqlite":
+        inspector = sa.inspect(db)
+        return {name: {c["name"] for c in inspector.get_columns(name)} for name in inspector.get_table_names()}
+    names = [name for (name,) in db.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'table'")]
+    return {name: {row[1] for row in db.exec_driver_sql(f"PRAGMA table_info({_quoted(name)})")} for name in names}
+
+
+def _schema(db: sa.Connection) -> object:
+    return db.execute(sa.text(f"SELECT max(schema) FROM {t.changes.name}")).scalar()
+
+
+def _quoted(name: object) -> str:
+    return '"' + str(name).replace('"', '""') + '"'
+
+
+def _value(column: sa.Column[Any], value: Any, dialect: str) -> Any:
+    """A value as SQLAlchemy would give it; raises ValueError for JSON that is none."""
+    if dialect != "sqlite" or value is None:
+        return value
+    if isinstance(column.type, sa.JSON) and isinstance(value, str):
+        try:
+            return json.loads(value, parse_constant=_no_constant)
+        except ValueError as error:
+            raise ValueError(f"{column.name} is no JSON: {error}") from None
+    if isinstance(column.type, sa.Boolean) and value in (0, 1):
+        return bool(value)
+    return value
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no figure")
+
+
+def _place(table: str, row: Mapping[str, Any]) -> str:
+    """A row in words: its table and its key."""
+    of_player = {"checkpoints": ("league", "player", "iteration"), "meetings": ("league", "player", "id")}
+    names = moving.KEYS.get(table) or of_player.get(table) or ("league", "id")
+    return f"{table} {'/'.join(_plain(row.get(name, '?')) for name in names)}"
+
+
+def _plain(what: object) -> str:
+    """What a damaged store says, as one line of text that any terminal takes."""
+    return "".join(c if c.isprintable() else "?" for c in shortened(what).encode(errors="replace").decode())
+
+
+def _cause(error: StorageError, where: str) -> str:
+    """A complaint without the place, which the report names, and without the advice to wait."""
+    return str(error).removeprefix(f"{where}: ").removesuffix("; wait and try again.").rstrip(".")
