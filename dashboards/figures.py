@@ -184,9 +184,14 @@ def thinned(points: Sequence[tuple[float, float]], most: int = POINTS) -> tuple[
     return [group[-1][0] for group in groups], [sum(y for _, y in group) / len(group) for group in groups]
 
 
-def spread(names: Sequence[str], most: int = BARS) -> list[int]:
-    """Positions of at most so many of the names, evenly spaced, with the first and the last of them."""
-    return np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int)).tolist()
+def busiest(games: np.ndarray, most: int = BARS) -> list[int]:
+    """Positions of at most so many rows of a table of games, those that have met the most columns, in their order.
+
+    Of those that have met equally many the later ones are taken, which are the newer ones where rows stand by age.
+    """
+    met = (games > 0).sum(1)
+    ranked = np.lexsort((np.arange(len(met)), met))
+    return sorted(ranked[::-1][:most].tolist())
 
 
 def _styles(owners: Iterable[str | None]) -> dict[str | None, dict[str, Any]]:

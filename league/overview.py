@@ -99,7 +99,7 @@ def _ladder(rows: Sequence[Row], shown: Shown) -> Iterator[str | Picture | Rows]
             told = f"{merit.capitalize()} with 95 % intervals{name}: {which} that are known. {_extremes(known, merit)}"
             yield Picture(figures.ladder(known, merit), told)
         columns = [*(TRIED if ladder.one_team else LADDER), STEPS]
-        yield _table(for_people(own), columns, f"Ladder{name}")
+        yield _table(for_people(own), columns, f"Ladder{name}, best first")
 
 
 def _known(rows: Sequence[Row], shown: Shown) -> tuple[list[Row], str]:
@@ -143,14 +143,14 @@ def _payoff(shown: Shown) -> Iterator[str | Picture | Rows]:
     except StorageError as error:
         yield str(error)
         return
-    down, across = figures.spread(found.rows), figures.spread(found.columns)
+    down, across = figures.busiest(found.games), figures.busiest(found.games.T)
     rows, columns = [found.rows[i] for i in down], [found.columns[j] for j in across]
     scores, games = found.scores[down][:, across], found.games[down][:, across]
     told = "Score of the rows against the columns, a draw counted half; blank where two have not met."
     if len(rows) < len(found.rows) or len(columns) < len(found.columns):
         told += (
-            f" {len(rows)} × {len(columns)} of {len(found.rows):,} × {len(found.columns):,} snapshots, evenly spaced:"
-            " `league payoff --format csv` has all."
+            f" {len(rows)} × {len(columns)} of {len(found.rows):,} × {len(found.columns):,} snapshots, those that have"
+            " met the most others: `league payoff --format csv` has all."
         )
     yield Picture(figures.payoff(rows, columns, scores, games), told)
     cells = [

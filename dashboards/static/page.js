@@ -36,11 +36,29 @@ function redraw() {
   document.querySelectorAll("figure[data-drawn]").forEach(draw);
 }
 
+function same(a, b) {
+  return (a && a.innerHTML) === (b && b.innerHTML);
+}
+
+// Row by row: of a thousand most stay as they are.
+function changeRows(old, fresh) {
+  const rows = [...old.rows], newer = [...fresh.rows];
+  newer.forEach((row, i) => {
+    if (i >= rows.length) old.append(document.adoptNode(row));
+    else if (!same(rows[i], row)) rows[i].innerHTML = row.innerHTML;
+  });
+  rows.slice(newer.length).forEach((row) => row.remove());
+}
+
 // Only what has changed is touched, and no block is replaced: focus and scrolling stay where they are.
 function change(old, fresh) {
-  if (old.innerHTML === fresh.innerHTML && old.tagName !== "FIGURE") return;
   if (old.tagName !== "FIGURE") {
-    old.innerHTML = fresh.innerHTML;
+    const table = old.querySelector("table");
+    if (table && same(table.caption, fresh.querySelector("caption")) && same(table.tHead, fresh.querySelector("thead"))) {
+      changeRows(table.tBodies[0], fresh.querySelector("tbody"));
+    } else if (!same(old, fresh)) {
+      old.innerHTML = fresh.innerHTML;
+    }
     return;
   }
   const values = old.querySelector("script");

@@ -86,10 +86,12 @@ def test_long_lines_are_thinned_to_means_and_keep_their_end():
     assert figures.thinned([]) == ([], [])
 
 
-def test_names_are_spread_evenly_with_both_ends():
-    assert figures.spread(["a", "b", "c"], 40) == [0, 1, 2]
-    assert figures.spread([str(i) for i in range(1000)], 3)[::2] == [0, 999]
-    assert figures.spread([], 3) == []
+def test_of_many_rows_those_are_kept_that_have_met_the_most():
+    games = np.array([[0, 1, 1], [1, 0, 0], [9, 0, 0]])
+    assert figures.busiest(games, 3) == [0, 1, 2]
+    assert figures.busiest(games, 2) == [0, 2]
+    assert figures.busiest(games, 1) == [0]
+    assert figures.busiest(np.zeros((0, 0)), 2) == []
 
 
 def test_lineage_draws_a_line_from_each_snapshot_to_the_one_that_it_goes_on_from():

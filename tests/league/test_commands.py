@@ -44,7 +44,7 @@ def test_the_report_is_of_the_league_that_was_run(tiny_league):
     assert done.returncode == 0, done.stderr
     page = Markup((folder / "report.html").read_text("utf-8"))
     rows = json.loads(call("ratings", "--format", "json", cwd=folder).stdout)
-    assert [row[1] for row in page.tables["Ladder"][1:]] == [row["name"] for row in rows]
+    assert [row[1] for row in page.tables["Ladder, best first"][1:]] == [row["name"] for row in rows]
     assert {name.partition("-")[0] for name in page.figures} >= {"ladder", "ratings", "payoff", "curves", "lineage"}
     steps = [trace["x"] for name, figure in page.figures.items() if "curves" in name for trace in figure["data"]]
     assert all(x == sorted(x) and x for x in steps)

@@ -97,7 +97,7 @@ def served(folder, port):
 
 def games(page: Markup) -> dict[str, str]:
     """Games of each snapshot in the ladder."""
-    head, *rows = page.tables["Ladder"]
+    head, *rows = page.tables["Ladder, best first"]
     at, name = head.index("games"), head.index("snapshot")
     return {row[name]: row[at] for row in rows}
 

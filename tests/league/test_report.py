@@ -63,7 +63,7 @@ def printed(capsys, monkeypatch, *args) -> list[list[str]]:
 def test_the_ladder_has_the_rows_of_league_ratings(folder, monkeypatch, capsys):
     page = reported(folder, monkeypatch)
     capsys.readouterr()
-    rows = [line[:-1] for line in page.tables["Ladder"]]  # without training steps, the last
+    rows = [line[:-1] for line in page.tables["Ladder, best first"]]  # without training steps, the last
     assert len(rows) == 1 + 7
     assert rows == printed(capsys, monkeypatch, "ratings")
 
@@ -122,7 +122,7 @@ def test_unlike_sides_have_a_ladder_each(tmp_path, monkeypatch):
         store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in (blue, red) for i in (0, 4)])
         finish(store, matches=[match(f"blue@{i}", f"red@{j}", 30 + 3 * i - 2 * j, 34) for i in (0, 4) for j in (0, 4)])
     page = reported(tmp_path, monkeypatch)
-    names = [{row[1] for row in page.tables[f"Ladder of 1 × {kind}"][1:]} for kind in ("tank", "drone")]
+    names = [{row[1] for row in page.tables[f"Ladder of 1 × {kind}, best first"][1:]} for kind in ("tank", "drone")]
     assert names == [{"blue@0", "blue@4"}, {"red@0", "red@4"}]
     assert {"ladder-1", "ladder-3", "ratings-0", "ratings-1"} <= set(page.figures)
 
@@ -135,7 +135,7 @@ def test_an_arena_of_one_team_shows_success(tmp_path, monkeypatch):
         store.add_snapshots([snapshot(blue, i, store.blobs.put(b"%d" % i)) for i in (0, 4)])
         finish(store, matches=[match(f"blue@{i}", None, 10 + 5 * i, 22 - 5 * i) for i in (0, 4)])
     page = reported(tmp_path, monkeypatch)
-    assert [row[1:3] for row in page.tables["Ladder"][1:]] == [["blue@4", "0.938"], ["blue@0", "0.312"]]
+    assert [row[1:3] for row in page.tables["Ladder, best first"][1:]] == [["blue@4", "0.938"], ["blue@0", "0.312"]]
     assert page.figures["ladder-1"]["data"][0]["x"] == [30 / 32, 10 / 32]
     assert "Nobody meets anybody in training: there is one team, or nobody learns now." in page.notes
 
@@ -149,7 +149,7 @@ def test_a_thousand_snapshots_have_a_page_that_a_browser_can_hold(tmp_path, monk
             store, matches=[match(f"blue@{i}", f"red@{i + d}", 34 - d, 30) for i in range(5, 495) for d in (0, 1, 9)]
         )
     page = reported(tmp_path, monkeypatch)
-    assert len(page.tables["Ladder"]) == 1 + 1007
+    assert len(page.tables["Ladder, best first"]) == 1 + 1007
     heat = page.figures["payoff-0"]["data"][0]
     assert (len(heat["z"]), len(heat["z"][0])) == (40, 40)
     assert "40 × 40 of 989 × 989 snapshots" in page.captions["payoff-0"]
