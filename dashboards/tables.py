@@ -12,12 +12,13 @@ import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Format = Literal["table", "json", "csv"]
+Format = Literal["table", "json", "csv", "html"]
 MISSING = "–"
 FOLDED = 8  # columns that text needs at least
 GAP = 3  # columns between two of a table's
@@ -45,9 +46,10 @@ def render(
 
     `columns` chooses and orders what is shown; without it, every key is, in the order of its first appearance. A data
     frame's index is shown if it has a name. `json` is a list of objects and `csv` has a header line, both under the
-    keys and with full precision; not-a-number and infinity become null in JSON, which has no word for them. `width`
-    and `title` are for tables; the width is that of the terminal, or 80 without one. Nothing is ever cut: text is
-    folded, and where even so the columns do not fit side by side the last ones are left out, and named below.
+    keys and with full precision; not-a-number and infinity become null in JSON, which has no word for them. `html` is a
+    table element with the cells of a `table`; the first column that is `whole` names its row. `title` is for both;
+    `width` is for a `table`, that of the terminal without it, or 80 without one. Nothing is ever cut: text is folded,
+    and where even so the columns do not fit side by side the last ones are left out, and named below.
 
     Raises ValueError for an unknown format.
     """
@@ -66,6 +68,8 @@ def render(
             return out.getvalue().removesuffix("\n")
         case "table":
             return _table(records, chosen, title, width or shutil.get_terminal_size().columns)
+        case "html":
+            return _html(records, chosen, title)
     raise ValueError(f"there is no format {format!r}; choose one of: {', '.join(get_args(Format))}")
 
 
@@ -99,6 +103,22 @@ def _table(records: list[dict[str, Any]], columns: list[Column], title: str, wid
         names = ", ".join(c.title or c.key for c in left_out)
         lines += textwrap.wrap(f"{width} columns are too few for: {names}", width)
     return "\n".join([*lines, *([] if records else ["(none)"])]).strip("\n")
+
+
+def _html(records: list[dict[str, Any]], columns: list[Column], title: str) -> str:
+    cells = [[record.get(c.key) for record in records] for c in columns]
+    texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
+    kinds = [' class="number"' if _is_numeric(values) else "" for values in cells]
+    heads = [f'<th scope="col"{kind}>{escape(c.title or c.key)}</th>' for c, kind in zip(columns, kinds, strict=True)]
+    naming = next((i for i, c in enumerate(columns) if c.whole), None)
+    tags = [("th", ' scope="row"') if i == naming else ("td", kind) for i, kind in enumerate(kinds)]
+    rows = [
+        "".join(f"<{tag}{about}>{escape(text)}</{tag}>" for (tag, about), text in zip(tags, row, strict=True))
+        for row in zip(*texts, strict=True)
+    ] or [f'<td colspan="{len(columns)}">(none)</td>']
+    lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    caption = f"<caption>{escape(title)}</caption>" if title else ""
+    return f"<table>{caption}<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>"
 
 
 def _is_plain(heads: list[str], texts: list[list[str]], width: int) -> bool:

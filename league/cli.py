@@ -26,6 +26,8 @@ COMMANDS = {
     "meta": ("league.commands.meta", "who would be played: Nash or alpha-rank mixture of a payoff table"),
     "forgetting": ("league.commands.meta", "players against their own past snapshots"),
     "watch": ("league.commands.watch", "a recorded match in 3D"),
+    "dash": ("league.commands.dash", "the league as a page in a browser of this machine, which follows it"),
+    "report": ("league.commands.report", "the same page as one file, to keep or to send"),
     "gate": ("league.commands.gate", "whether one snapshot is better than another, by a sequential test"),
     "play": ("league.commands.play", "an exhibition between two snapshots, recorded and not rated"),
     "exploit": ("league.commands.exploit", "train a fresh attacker against one frozen policy: how much does it take?"),

@@ -1,13 +1,12 @@
 """`league export` and `league import`: a frozen policy as a file, and from there into any league of its arena."""
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from league import exchange
 from league.cards import card
-from league.commands.options import STORE, Where, parse, positional
+from league.commands.options import STORE, Where, parse, positional, spelt
 from league.config.schema import ConfigError
 from league.config.sections import check_name
 from storage.files import whole_file
@@ -45,7 +44,7 @@ class ImportOptions(Where):
 def export(args: list[str]) -> int:
     """Write a frozen policy and its card."""
     what = "Write a frozen policy as a safetensors file, with all that is known of it, and a card to read."
-    options = parse(ExportOptions, _spelt(args), "export", what)
+    options = parse(ExportOptions, spelt(args), "export", what)
     _need(options.output, "-o FILE", "export")
     path = Path(str(options.output))
     page = Path(options.card) if options.card is not None else path.with_name(f"{path.name}.md")
@@ -78,8 +77,3 @@ def import_(args: list[str]) -> int:
 def _need(value: str | None, what: str, command: str) -> None:
     if not value:
         raise ConfigError((), f"league {command} needs {what}: see league {command} --help")
-
-
-def _spelt(args: Sequence[str]) -> list[str]:
-    """The arguments with -o, which is what people type, as the option that it stands for."""
-    return ["--output" if word == "-o" else word for word in args]

@@ -4,7 +4,7 @@ import json
 import shutil
 import textwrap
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,6 +12,7 @@ from dashboards.tables import Column, render
 from league.commands.options import Where, parse, positional
 from league.config.build import build
 from league.odds import WIN_RATE, Odds, odds, records
+from league.query import Open
 from league.standing import Standing
 from matchmaking.opponents import Opponents, Records
 from storage.errors import UnknownName
@@ -37,9 +38,7 @@ def explain(args: list[str]) -> int:
     """Print a player's opponents."""
     options = parse(ExplainOptions, args, "explain", "Whom a player meets in training now, how often, and why.")
     with options.open() as opened:
-        standing = Standing.of(opened.store, opened.league)
-        settings = tomllib.loads(opened.store.league(opened.league).config)
-    rule = build(Opponents, settings.get("training", {}).get("opponents", {}))
+        standing, rule = Standing.of(opened.store, opened.league), rule_of(opened)
     player = next((p for p in standing.players if p.name == options.player), None)
     if player is None:
         raise UnknownName("player", options.player, [p.name for p in standing.players])
@@ -49,6 +48,12 @@ def explain(args: list[str]) -> int:
     else:
         print(_text(found))
     return 0
+
+
+def rule_of(opened: Open) -> Opponents:
+    """By which rule a league's players meet others, read without what a whole configuration needs."""
+    settings = tomllib.loads(opened.store.league(opened.league).config)
+    return build(Opponents, settings.get("training", {}).get("opponents", {}))
 
 
 def explained(rule: Opponents, standing: Standing, player: Player) -> dict[str, Any]:
@@ -100,9 +105,8 @@ def _text(found: dict[str, Any]) -> str:
             lines = [f"{found['player']} meets the other team as it is now: the share of the past is 0."]
         if not found["learns"]:
             lines.append("It does not learn now.")
-        rows, columns = team["opponents"], _columns(team)
-        rows = [{**row, "opponent": row["opponent"] + (" (as it is now)" if row["present"] else "")} for row in rows]
-        parts += [_wrapped(" ".join(lines)), render(rows, columns)]
+        shown = columns(team)
+        parts += [_wrapped(" ".join(lines)), render(called(team["opponents"]), shown)]
     parts.append(
         _wrapped(
             f"Win rates are those of the games that {found['player']} has learnt from, a draw counted half. After each"
@@ -113,8 +117,13 @@ def _text(found: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def _columns(team: dict[str, Any]) -> Sequence[Column | str]:
-    """What the rule has read beside win rates has a column of its own."""
+def called(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of opponents, those who are met as they are now called so."""
+    return [{**row, "opponent": row["opponent"] + (" (as it is now)" if row["present"] else "")} for row in rows]
+
+
+def columns(team: Mapping[str, Any]) -> Sequence[Column | str]:
+    """Of a team's rows: what the rule has read beside win rates has a column of its own."""
     shown = []
     for column in SHOWN:
         key = column if isinstance(column, str) else column.key

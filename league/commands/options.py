@@ -102,6 +102,11 @@ def _too_many(rest: Sequence[str], places: Sequence[Field], command: str) -> Con
     )
 
 
+def spelt(args: Sequence[str]) -> list[str]:
+    """The arguments with -o, which is what people type, as the option that it stands for."""
+    return ["--output" if word == "-o" else word for word in args]
+
+
 def shown(hint: Any) -> str:
     """What stands for a value of that type in a help page."""
     kind, _ = required(hint)

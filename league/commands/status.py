@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import get_args
 
 from dashboards.tables import Column, render
@@ -34,27 +35,59 @@ def status(args: list[str]) -> int:
     return 0
 
 
-def report(opened: Open, whole_errors: bool = False) -> str:
-    """A league's status as text; of an error its first line, or all of it."""
+@dataclass(frozen=True)
+class Facts:
+    """How a league stands: rows of players and workers, and lines about all else."""
+
+    league: str
+    runs: str  # by whom; empty for a league that is stopped
+    counts: Mapping[str, int]  # jobs in each of STATES
+    players: Sequence[dict]
+    share: str  # of the devices that rating matches have taken
+    stages: Sequence[str]
+    phases: Sequence[str]
+    paused: Sequence[str]
+    failed: Sequence[str]
+    workers: Sequence[dict]
+
+    @property
+    def jobs(self) -> str:
+        """The jobs, counted, in a line."""
+        return ", ".join(f"{n:,} {STATES[state]}" for state, n in self.counts.items())
+
+
+def facts(opened: Open, whole_errors: bool = False) -> Facts:
+    """A league's status; of an error its first line, or all of it."""
     store, league = opened.store, opened.league
     players, checkpoints, phases = store.players(league), store.newest_checkpoints(league), store.phases(league)
     working = [worker for worker in processes(store, league) if worker.kinds != "manager"]
-    jobs = store.jobs(league)
-    counts = {state: sum(job.state == state for job in jobs) for state in STATES}
+    jobs, now = store.jobs(league), store.now()
     runs, scores = _running(store, league, working), turn_scores(store, phases)
+    return Facts(
+        league, runs, {state: sum(job.state == state for job in jobs) for state in STATES},
+        [_player(p, checkpoints.get(p.name), phases.get(p.group), bool(runs)) for p in players],
+        f"Rating: {_share(opened, players, checkpoints)}",
+        _stages(store, league),
+        [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners],
+        [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None],
+        [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"],
+        [_worker(worker, now) for worker in working],
+    )  # fmt: skip
+
+
+def report(opened: Open, whole_errors: bool = False) -> str:
+    """A league's status as text; of an error its first line, or all of it."""
+    found = facts(opened, whole_errors)
     parts = [
-        *_listed("Curriculum", _stages(store, league)),
-        f"League {league}: {runs or 'stopped'}\n"
-        f"Jobs: {', '.join(f'{n:,} {STATES[state]}' for state, n in counts.items())}",
-        render([_player(p, checkpoints.get(p.name), phases.get(p.group), bool(runs)) for p in players], PLAYERS),
-        _share(opened, players, checkpoints),
-        *_listed("Phases", [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners]),
-        *_listed("Paused", [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None]),
-        *_listed("Set aside", [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"]),
+        *_listed("Curriculum", found.stages),
+        f"League {found.league}: {found.runs or 'stopped'}\nJobs: {found.jobs}",
+        render(found.players, PLAYERS),
+        found.share,
+        *_listed("Phases", found.phases),
+        *_listed("Paused", found.paused),
+        *_listed("Set aside", found.failed),
+        *([render(found.workers, WORKERS)] if found.workers else []),
     ]
-    if working:
-        now = store.now()
-        parts.append(render([_worker(worker, now) for worker in working], WORKERS))
     return "\n\n".join(parts)
 
 
@@ -119,7 +152,7 @@ def _share(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Ch
     schedule = schedules.get(opened.setting("training", "schedule", "kind", otherwise=""), Schedule())
     asked = opened.setting("rating", "share", otherwise=Rating().share)
     since = Standing(players, checkpoints=checkpoints).trained(schedule) - first
-    return f"Rating: {words(asked, max(0.0, since), rated)}"
+    return words(asked, max(0.0, since), rated)
 
 
 def _set_aside(job: Job, whole: bool) -> str:

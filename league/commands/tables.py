@@ -204,23 +204,39 @@ def ratings_table(
 
 def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = False) -> str:
     """The same of some of a ladder's rows, which get columns for people; or its ticker."""
-    for row in rows:
-        row["error"] = (row["high"] - row["low"]) / 2 if row["known"] else None
-        row["elo"] = row["elo"] if row["known"] else None
-        row["trained"] = None if row["seconds"] is None else clock(row["seconds"])
-        row["void"] = _void(row)
-        row["result"] = f"{row['wins']}-{row['draws']}-{row['losses']}" if row["games"] else None
-        row["last"] = row["last_played"] and row["last_played"][:16].replace("T", " ")
+    rows = for_people(rows)
     columns, sides = TRIED if ladder.one_team else LADDER, unlike_sides(shown.players)
-    title = f"Online Elo ticker in {_told(ladder.arena)}" if ticking and ladder.arena else _title(ladder)
+    title = f"Online Elo ticker in {_told(ladder.arena)}" if ticking and ladder.arena else title_of(ladder)
     columns = TICKED if ticking else columns
     parts = [render(rows, columns, title=title)]
     if sides:
         of = {roster: [row for row in rows if row["roster"] == roster] for roster in sides}
         parts = [title, *(render(of[r], columns, title=f"{side_text(r)}:") for r in sides if of[r])]
-    notes = [*_notes(ladder, rows, shown.void_limit, bool(sides)), *_between(ladder, shown.snapshots, sides)]
+    notes = notes_on(ladder, rows, shown)
     notes = [TICKING, *notes] if ticking else notes
     return "\n\n".join([*parts, *(["\n".join(map(wrapped, notes))] if notes else [])])
+
+
+def for_people(rows: Sequence[Row]) -> list[Row]:
+    """A ladder's rows with the columns that tables for people have beside those for programs."""
+    return [
+        {
+            **row,
+            "error": (row["high"] - row["low"]) / 2 if row["known"] else None,
+            "elo": row["elo"] if row["known"] else None,
+            "trained": None if row["seconds"] is None else clock(row["seconds"]),
+            "void": _void(row),
+            "result": f"{row['wins']}-{row['draws']}-{row['losses']}" if row["games"] else None,
+            "last": row["last_played"] and row["last_played"][:16].replace("T", " "),
+        }
+        for row in rows
+    ]
+
+
+def notes_on(ladder: Ladder, rows: Sequence[Row], shown: Shown) -> list[str]:
+    """What figures of a ladder mean, and how unlike sides fared; a line each."""
+    sides = unlike_sides(shown.players)
+    return [*_notes(ladder, rows, shown.void_limit, bool(sides)), *_between(ladder, shown.snapshots, sides)]
 
 
 def clock(seconds: float) -> str:
@@ -230,7 +246,8 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def _title(ladder: Ladder) -> str:
+def title_of(ladder: Ladder) -> str:
+    """What a ladder's table is called."""
     if ladder.arena is None:
         return "No rating match has been played yet."
     what = "Success" if ladder.one_team else "Elo"

@@ -108,8 +108,20 @@ def test_no_rows_are_said_in_each_format():
     assert render([], ["player"], format="csv") == "player"
 
 
+def test_html_has_a_tables_cells_and_names_rows_and_columns():
+    text = render(
+        [{"name": "<a>", "games": 12800, "elo": None}], [Column("name", whole=True), "games", "elo"], "html", "T"
+    )
+    assert text == (
+        '<table><caption>T</caption><thead><tr><th scope="col">name</th><th scope="col" class="number">games</th>'
+        '<th scope="col">elo</th></tr></thead>\n<tbody>\n'
+        '<tr><th scope="row">&lt;a&gt;</th><td class="number">12,800</td><td>–</td></tr>\n</tbody></table>'
+    )
+    assert '<td colspan="2">(none)</td>' in render([], ["a", "b"], "html")
+
+
 def test_an_unknown_format_names_those_there_are():
-    with pytest.raises(ValueError, match="no format 'xml'; choose one of: table, json, csv"):
+    with pytest.raises(ValueError, match="no format 'xml'; choose one of: table, json, csv, html"):
         render(ROWS, format="xml")
 
 

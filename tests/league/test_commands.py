@@ -12,6 +12,7 @@ import pytest
 
 import league
 from tests.league.conftest import ENVIRONMENT, ROOT, TINY, call
+from tests.markup import Markup
 
 
 def test_a_run_learns_rates_and_says_what_to_type_next(tiny_league):
@@ -35,6 +36,19 @@ def test_ratings_say_the_same_in_every_format(tiny_league):
     assert known == sorted(known, key=lambda row: -row["elo"])
     assert all(row["low"] < row["elo"] < row["high"] for row in rated if row["iteration"] != 0)
     assert {"idle", "random", "pusher", "centre-holder"} <= {row["name"] for row in rows}
+
+
+def test_the_report_is_of_the_league_that_was_run(tiny_league):
+    folder, _ = tiny_league
+    done = call("report", "-o", "report.html", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    page = Markup((folder / "report.html").read_text("utf-8"))
+    rows = json.loads(call("ratings", "--format", "json", cwd=folder).stdout)
+    assert [row[1] for row in page.tables["Ladder, best first"][1:]] == [row["name"] for row in rows]
+    assert {name.partition("-")[0] for name in page.figures} >= {"ladder", "ratings", "payoff", "curves", "lineage"}
+    steps = [trace["x"] for name, figure in page.figures.items() if "curves" in name for trace in figure["data"]]
+    assert all(x == sorted(x) and x for x in steps)
+    assert not [link for link in page.links if not link.startswith(("#", "data:"))]
 
 
 def test_learning_shows_in_the_score_against_the_initial_snapshot(tiny_league):

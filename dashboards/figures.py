@@ -1,0 +1,219 @@
+"""A league's figures as values, in Plotly's form: `{"data": [...], "layout": {...}}`.
+
+They hold no colour of paper, text or grid: the page gives those, by whether its reader prefers dark or light.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Figure = dict[str, Any]
+Rows = Sequence[Mapping[str, Any]]
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
+"""Told apart by most colour-blind readers, on dark and light (Okabe and Ito's, but for two)."""
+DASHES = ("solid", "dash", "dot", "dashdot")  # with more players than colours
+SCORES = [[0.0, "#d55e00"], [0.5, "#e8e8e8"], [1.0, "#0072b2"]]
+POINTS = 400
+"""Points of a line: more could not be told apart."""
+BARS = 40
+"""Rows of a figure that has one for each snapshot."""
+
+
+def ladder(rows: Rows, merit: str = "elo") -> Figure:
+    """The best-rated snapshots with their 95 % intervals, the best on top.
+
+    Args:
+        rows: best first, with `name`, `player` (None for a script), the merit, and what bounds it: `low` and `high`, or
+            `success_low` and `success_high`.
+        merit: `elo` or `success`.
+    """
+    low, high = bounds(merit)
+    shown = [row for row in rows if row[merit] is not None][:BARS]
+    traces = []
+    for owner, style in _styles(row["player"] for row in shown).items():
+        own = [row for row in shown if row["player"] == owner]
+        traces.append({
+            "type": "scatter", "mode": "markers", "name": owner or "fixed",
+            "x": [row[merit] for row in own], "y": [row["name"] for row in own],
+            "error_x": {
+                "type": "data", "symmetric": False, "array": [row[high] - row[merit] for row in own],
+                "arrayminus": [row[merit] - row[low] for row in own],
+            },
+            "marker": {"color": style["color"], "size": 8},
+        })  # fmt: skip
+    order = [row["name"] for row in reversed(shown)]
+    return _figure(
+        traces, merit.capitalize(), "", 110 + 20 * len(order),
+        yaxis={"type": "category", "categoryorder": "array", "categoryarray": order, "dtick": 1, "automargin": True},
+    )  # fmt: skip
+
+
+def ratings(rows: Rows, merit: str = "elo") -> Figure:
+    """Ratings over the training steps of each player, with 95 % bands; what does not learn as level lines.
+
+    Args:
+        rows: in any order, as for `ladder`, with `steps` (environment steps; None for what does not learn).
+        merit: `elo` or `success`.
+    """
+    low, high = bounds(merit)
+    rated = [row for row in rows if row[merit] is not None]
+    learnt = sorted((row for row in rated if row["steps"] is not None), key=lambda row: row["steps"])
+    traces = []
+    for owner, style in _styles(row["player"] for row in learnt).items():
+        own = [row for row in learnt if row["player"] == owner]
+        x = [row["steps"] for row in own]
+        band = [row[high] for row in own] + [row[low] for row in reversed(own)]
+        traces.append({
+            "type": "scatter", "mode": "lines", "x": [*x, *reversed(x)], "y": band, "fill": "toself",
+            "fillcolor": _faint(style["color"]), "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False,
+            "legendgroup": owner,
+        })  # fmt: skip
+        traces.append({
+            "type": "scatter", "mode": "lines+markers", "name": owner, "legendgroup": owner, "x": x,
+            "y": [row[merit] for row in own], "text": [row["name"] for row in own], "line": style,
+            "hovertemplate": "%{text}: %{y:.4g}<extra></extra>",
+        })  # fmt: skip
+    ends = [0, max((row["steps"] for row in learnt), default=1)]
+    level = [
+        {"type": "scatter", "mode": "lines", "name": row["name"], "x": ends, "y": [row[merit]] * 2,
+         "line": {"color": COLOURS[-1], "dash": DASHES[1 + i % 3], "width": 1}}
+        for i, row in enumerate(row for row in rated if row["steps"] is None)
+    ]  # fmt: skip
+    return _figure([*traces, *level], "training steps of the player", merit.capitalize())
+
+
+def payoff(rows: Sequence[str], columns: Sequence[str], scores: np.ndarray, games: np.ndarray) -> Figure:
+    """Scores of rows against columns as a heat map; what has not met is left blank.
+
+    Args:
+        rows: (N,) names, the first on top.
+        columns: (M,) names.
+        scores: (N, M) in [0, 1], nan where two have not met.
+        games: (N, M) how many were played.
+    """
+    cells = [[None if math.isnan(x) else round(x, 4) for x in row] for row in scores.tolist()]
+    heat = {
+        "type": "heatmap", "x": list(columns), "y": list(rows), "z": cells, "zmin": 0, "zmax": 1, "customdata":
+        games.tolist(), "colorscale": SCORES, "hoverongaps": False, "colorbar": {"title": {"text": "score"}},
+        "hovertemplate": "%{y} against %{x}: %{z:.3f} of %{customdata} games<extra></extra>",
+    }  # fmt: skip
+    names = {"type": "category", "automargin": True, "showgrid": False}
+    return _figure(
+        [heat], "against", "", min(900, 180 + 20 * len(rows)), hovermode="closest",
+        xaxis={**names, "tickangle": -60}, yaxis={**names, "autorange": "reversed"},
+    )  # fmt: skip
+
+
+def mixture(opponents: Rows) -> Figure:
+    """With which probability a learner meets each opponent, the likeliest first.
+
+    Args:
+        opponents: with `opponent`, `probability` and `present`, whether it is met as it is now.
+    """
+    met = sorted((row for row in opponents if row["probability"] > 0), key=lambda row: -row["probability"])
+    shown, rest = met[:BARS], sum(row["probability"] for row in met[BARS:])
+    names = [row["opponent"] + (" (as it is now)" if row["present"] else "") for row in shown]
+    values = [row["probability"] for row in shown]
+    if rest:
+        names, values = [*names, f"{len(met) - BARS:,} others"], [*values, rest]
+    bars = {
+        "type": "bar", "orientation": "h", "x": values, "y": names, "marker": {"color": COLOURS[0]},
+        "hovertemplate": "%{y}: %{x:.3f}<extra></extra>",
+    }  # fmt: skip
+    axis = {"type": "category", "autorange": "reversed", "dtick": 1, "automargin": True}
+    return _figure([bars], "probability", "", 110 + 20 * len(names), yaxis=axis, showlegend=False)
+
+
+def curves(points: Rows, key: str, title: str, over: str = "steps", across: str = "training steps") -> Figure:
+    """A recorded figure of learning over steps, a line for each player.
+
+    Args:
+        points: one of each iteration, in its order, with `player`, `over`, and `key` where it was recorded.
+        key: which figure.
+        title: what it is called.
+        over: what it is drawn over.
+        across: what that is called.
+    """
+    traces = []
+    for owner, style in _styles(point["player"] for point in points).items():
+        own = [(p[over], p[key]) for p in points if p["player"] == owner and p.get(key) is not None]
+        x, y = thinned(own)
+        traces.append({"type": "scatter", "mode": "lines", "name": owner, "x": x, "y": y, "line": style})
+    return _figure(traces, across, title, 320)
+
+
+def lineage(snapshots: Rows) -> Figure:
+    """Which snapshot goes on from which: a row for each player, a line from each to its parent.
+
+    Args:
+        snapshots: with `name`, `player` (None for what belongs to none), `parent` (a name or None) and `steps`.
+    """
+    place = {s["name"]: (s["steps"], s["player"] or "fixed") for s in snapshots}
+    ends = [(place[s["parent"]], place[s["name"]]) for s in snapshots if s["parent"] in place]
+    lines = {
+        "type": "scatter", "mode": "lines", "hoverinfo": "skip", "showlegend": False,
+        "line": {"color": COLOURS[-1], "width": 1},
+        "x": [x for a, b in ends for x in (a[0], b[0], None)], "y": [y for a, b in ends for y in (a[1], b[1], None)],
+    }  # fmt: skip
+    traces = [lines]
+    for owner, style in _styles(s["player"] for s in snapshots).items():
+        own = [s for s in snapshots if s["player"] == owner]
+        traces.append({
+            "type": "scatter", "mode": "markers", "name": owner or "fixed", "x": [s["steps"] for s in own],
+            "y": [owner or "fixed"] * len(own), "text": [s["name"] for s in own],
+            "customdata": [s["parent"] or "nobody" for s in own], "marker": {"color": style["color"], "size": 8},
+            "hovertemplate": "%{text}, from %{customdata}<extra></extra>",
+        })  # fmt: skip
+    players = len(dict.fromkeys(y for _, y in place.values()))
+    axis = {"type": "category", "automargin": True}
+    return _figure(traces, "training steps of the player", "", 140 + 40 * players, yaxis=axis, hovermode="closest")
+
+
+def bounds(merit: str) -> tuple[str, str]:
+    """The keys of a merit's 95 % interval in a row of ratings."""
+    return ("low", "high") if merit == "elo" else (f"{merit}_low", f"{merit}_high")
+
+
+def thinned(points: Sequence[tuple[float, float]], most: int = POINTS) -> tuple[list[float], list[float]]:
+    """At most so many points, as x and y: means of y over as many neighbours as it takes, at the last one's x."""
+    size = -(-len(points) // most) or 1
+    groups = [points[i : i + size] for i in range(0, len(points), size)]
+    return [group[-1][0] for group in groups], [sum(y for _, y in group) / len(group) for group in groups]
+
+
+def busiest(games: np.ndarray, most: int = BARS) -> list[int]:
+    """Positions of at most so many rows of a table of games, those that have met the most columns, in their order.
+
+    Of those that have met equally many the later ones are taken, which are the newer ones where rows stand by age.
+    """
+    met = (games > 0).sum(1)
+    ranked = np.lexsort((np.arange(len(met)), met))
+    return sorted(ranked[::-1][:most].tolist())
+
+
+def _styles(owners: Iterable[str | None]) -> dict[str | None, dict[str, Any]]:
+    """How each owner's line looks, in the order of their names: the same in each figure with the same owners."""
+    named = sorted({owner for owner in owners if owner is not None})
+    styles: dict[str | None, dict[str, Any]] = {
+        name: {"color": COLOURS[i % 7], "dash": DASHES[i // 7 % 4], "width": 2} for i, name in enumerate(named)
+    }
+    return styles | {None: {"color": COLOURS[-1], "dash": "dot", "width": 1}}
+
+
+def _faint(colour: str) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},0.18)"
+
+
+def _figure(traces: list[dict[str, Any]], across: str, up: str, height: int = 420, **layout: Any) -> Figure:
+    axes = {
+        axis: {"title": {"text": text}, **layout.pop(axis, {})} for axis, text in (("xaxis", across), ("yaxis", up))
+    }
+    margin = {"l": 60, "r": 20, "t": 20, "b": 50}
+    return {
+        "data": [trace for trace in traces if "z" in trace or len(trace["x"])],
+        "layout": {"height": height, "margin": margin, "hovermode": "closest", "autosize": True, **axes, **layout},
+    }

@@ -1,0 +1,132 @@
+// Draws the page's figures with Plotly, and where the page is served keeps it up to date.
+"use strict";
+
+const dark = matchMedia("(prefers-color-scheme: dark)");
+
+function draw(block) {
+  const figure = JSON.parse(block.querySelector("script[type='application/json']").textContent);
+  const style = getComputedStyle(document.documentElement);
+  const [ink, line] = ["--ink", "--line"].map((name) => style.getPropertyValue(name).trim());
+  const layout = {
+    ...figure.layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink },
+    legend: { ...figure.layout.legend, bgcolor: "rgba(0,0,0,0)" },
+  };
+  for (const axis of ["xaxis", "yaxis"]) {
+    layout[axis] = { gridcolor: line, zerolinecolor: line, linecolor: line, ...layout[axis] };
+  }
+  const options = { responsive: true, displaylogo: false, displayModeBar: false };
+  return Plotly.react(block.querySelector(".plot"), figure.data, layout, options);
+}
+
+const drawn = new IntersectionObserver((seen) => {
+  for (const { isIntersecting, target } of seen) {
+    if (isIntersecting) {
+      drawn.unobserve(target); // once: later changes are drawn as they come
+      target.dataset.drawn = "yes";
+      draw(target);
+    }
+  }
+}, { rootMargin: "600px" });
+
+function watch(root) {
+  root.querySelectorAll("figure").forEach((figure) => drawn.observe(figure));
+}
+
+function redraw() {
+  document.querySelectorAll("figure[data-drawn]").forEach(draw);
+}
+
+function same(a, b) {
+  return (a && a.innerHTML) === (b && b.innerHTML);
+}
+
+// Row by row: of a thousand most stay as they are.
+function changeRows(old, fresh) {
+  const rows = [...old.rows], newer = [...fresh.rows];
+  newer.forEach((row, i) => {
+    if (i >= rows.length) old.append(document.adoptNode(row));
+    else if (!same(rows[i], row)) rows[i].innerHTML = row.innerHTML;
+  });
+  rows.slice(newer.length).forEach((row) => row.remove());
+}
+
+// Only what has changed is touched, and no block is replaced: focus and scrolling stay where they are.
+function change(old, fresh) {
+  if (old.tagName !== "FIGURE") {
+    const table = old.querySelector("table");
+    if (table && same(table.caption, fresh.querySelector("caption")) && same(table.tHead, fresh.querySelector("thead"))) {
+      changeRows(table.tBodies[0], fresh.querySelector("tbody"));
+    } else if (!same(old, fresh)) {
+      old.innerHTML = fresh.innerHTML;
+    }
+    return;
+  }
+  const values = old.querySelector("script");
+  const changed = values.textContent !== fresh.querySelector("script").textContent;
+  values.textContent = fresh.querySelector("script").textContent;
+  old.querySelector("figcaption").textContent = fresh.querySelector("figcaption").textContent;
+  if (changed && old.dataset.drawn) draw(old);
+}
+
+function update(text) {
+  const fresh = new DOMParser().parseFromString(text, "text/html");
+  for (const section of fresh.querySelectorAll("section")) {
+    const old = document.getElementById(section.id);
+    const ids = (of) => [...of.querySelectorAll("[data-block]")].map((block) => block.id).join();
+    if (ids(old) === ids(section)) {
+      section.querySelectorAll("[data-block]").forEach((block) => change(document.getElementById(block.id), block));
+    } else {
+      old.querySelectorAll(".plot").forEach((plot) => Plotly.purge(plot));
+      old.replaceWith(document.adoptNode(section));
+      watch(document.getElementById(section.id));
+    }
+  }
+}
+
+function follow() {
+  const state = document.getElementById("state");
+  const main = document.querySelector("main");
+  const tell = (text) => { if (state.textContent !== text) state.textContent = text; };
+  let busy = false;
+  let wanted = main.dataset.version;
+
+  async function fetched() {
+    if (busy) return;
+    busy = true;
+    try {
+      while (wanted !== main.dataset.version) {
+        const answer = await fetch("main", { cache: "no-store" });
+        if (!answer.ok) throw new Error(answer.statusText);
+        update(await answer.text());
+        main.dataset.version = answer.headers.get("X-Version");
+        if (main.dataset.version !== wanted) await new Promise((done) => setTimeout(done, 500));
+      }
+      tell("Up to date.");
+    } catch {
+      tell("The league cannot be read now; trying again.");
+      setTimeout(fetched, 2000);
+    } finally {
+      busy = false;
+    }
+  }
+
+  function listen() {
+    const events = new EventSource("events");
+    events.addEventListener("revision", (event) => { wanted = event.data; fetched(); });
+    events.addEventListener("trouble", (event) => tell(event.data));
+    events.onerror = () => {
+      tell("The server does not answer; the page goes on when it does.");
+      events.close(); // browsers differ in when they give up, so this one asks again itself
+      setTimeout(listen, 1000);
+    };
+  }
+  listen();
+}
+
+dark.addEventListener("change", redraw);
+addEventListener("beforeprint", () => document.querySelectorAll("figure").forEach((figure) => {
+  figure.dataset.drawn = "yes";
+  draw(figure);
+}));
+watch(document);
+if (document.body.dataset.live) follow();

@@ -1,0 +1,171 @@
+"""`league dash` as a browser meets it: a process of its own, asked over HTTP."""
+
+import http.client
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from email.message import Message
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from storage.store import Store
+from tests.league.conftest import call, start
+from tests.league.leagues import filled, finish, match
+from tests.markup import Markup
+
+
+@pytest.fixture
+def folder(tmp_path):
+    with filled(tmp_path / "league-data", match("blue@4", "red@4", 48, 16)):
+        return tmp_path
+
+
+@pytest.fixture
+def port() -> int:
+    """One that is free."""
+    with socket.socket() as asked:
+        asked.bind(("127.0.0.1", 0))
+        return asked.getsockname()[1]
+
+
+class Answer(NamedTuple):
+    status: int
+    headers: Message
+    body: str
+
+
+def _events(stream: http.client.HTTPResponse) -> Iterator[tuple[str, str]]:
+    kind = ""
+    while line := stream.readline().decode():
+        key, _, value = line.strip().partition(": ")
+        if key == "event":
+            kind = value
+        elif key == "data":
+            yield kind, value
+
+
+class Served:
+    """A server that runs until it is stopped."""
+
+    def __init__(self, folder, port: int):
+        self.port = port
+        said = folder / "out.txt"
+        before = len(said.read_text()) if said.exists() else 0
+        self.process = start("dash", "--port", str(port), cwd=folder)
+        deadline = time.monotonic() + 60
+        while f":{port}/" not in said.read_text()[before:]:
+            assert self.process.poll() is None, said.read_text()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+    def ask(self, path: str, method: str = "GET", **headers: str) -> Answer:
+        with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)) as connection:
+            connection.request(method, path, headers=headers)
+            answer = connection.getresponse()
+            return Answer(answer.status, answer.headers, answer.read().decode())
+
+    def page(self, path: str = "/") -> Markup:
+        answer = self.ask(path)
+        assert answer.status == 200
+        return Markup(answer.body)
+
+    @contextmanager
+    def events(self) -> Iterator[Iterator[tuple[str, str]]]:
+        """Server-sent events as they come, kind and data."""
+        with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)) as connection:
+            connection.request("GET", "/events")
+            with connection.getresponse() as stream:
+                assert stream.headers["Content-Type"].startswith("text/event-stream")
+                yield _events(stream)
+
+    def stop(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(30)
+
+
+@pytest.fixture
+def served(folder, port):
+    running = Served(folder, port)
+    yield running
+    running.process.kill()
+    running.process.wait()
+
+
+def games(page: Markup) -> dict[str, str]:
+    """Games of each snapshot in the ladder."""
+    head, *rows = page.tables["Ladder, best first"]
+    at, name = head.index("games"), head.index("snapshot")
+    return {row[name]: row[at] for row in rows}
+
+
+def test_the_page_follows_the_store_and_outlives_a_restart(served, folder, port):
+    page = served.page()
+    assert games(page)["blue@4"] == "64"
+    assert page.scripts == ["", ""]  # both are asked of the server
+    for name in ("page.js", "plotly.js"):
+        assert served.ask(f"/{name}").status == 200
+    with served.events() as events:
+        kind, first = next(events)
+        assert (kind, first) == ("revision", page.attributes["content"]["data-version"])
+        with Store.open(folder / "league-data") as store:
+            finish(store, matches=[match("blue@4", "red@4", 20, 12)])
+        assert next(e for e in events if e[1] != first)[0] == "revision"
+        answer = served.ask("/main")
+        assert games(Markup(answer.body))["blue@4"] == "96"
+        assert served.stop() == 0  # with a reader who is still there
+
+    again = Served(folder, port)
+    try:
+        with again.events() as events:
+            assert next(events) == ("revision", answer.headers["X-Version"])
+        assert games(again.page())["blue@4"] == "96"
+    finally:
+        assert again.stop() == 0
+
+
+def test_nothing_can_be_changed_and_nobody_else_can_read_it(served, folder):
+    with Store.open(folder / "league-data") as store:
+        before = store.revision("cup")
+        for method in ("POST", "PUT", "DELETE", "PATCH"):
+            assert served.ask("/main", method).status == 405
+        answer = served.ask("/")
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["Server"] == "robot-league"
+        assert served.ask("/", Host=f"elsewhere.example:{served.port}").status == 400
+        assert served.ask("/nothing").status == 404
+        assert store.revision("cup") == before
+    listening = Path(f"/proc/{served.process.pid}/net/tcp").read_text()
+    assert f"0100007F:{served.port:04X} 00000000:0000 0A" in listening
+
+
+def refused(folder, *args: str) -> str:
+    done = call("dash", *args, cwd=folder, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
+def test_a_taken_port_is_told_with_who_has_it_and_the_next(served, folder, port):
+    said = refused(folder, "--port", str(port))
+    assert f"port {port} is taken by another league dash; port " in said
+    free = int(said.rpartition("--port ")[2])
+    assert port < free < port + 100
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", free))
+
+
+def test_of_a_silent_holder_nothing_is_said(folder, port):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", port))
+        other.listen()
+        assert f"port {port} is taken; port " in refused(folder, "--port", str(port))
+
+
+def test_bad_input_is_told_before_anything_is_served(folder, tmp_path):
+    assert "--port" in refused(folder, "--port", "70000")
+    (tmp_path / "empty").mkdir()
+    assert "No league store" in refused(tmp_path / "empty")
