@@ -200,11 +200,29 @@ def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[
     return f"{league}/{player}@{kept.iteration}", arrays.from_bytes(store.blobs.get(kept.digest))
 
 
+def thaw_into(learner: "Learner", frozen: bytes, counts: np.ndarray) -> None:
+    """Give a learner the actors of a snapshot of its own roster.
+
+    `counts` says of how many decisions each actor's statistics of observations are worth. Raises ValueError as
+    `Learner.load` does.
+    """
+    policies = arrays.from_bytes(frozen)
+    state = _named(policies) | {"observation_counts": counts}
+    if "sharing" in (own := learner.state()):
+        state["sharing"] = own["sharing"]
+    learner.inherit([(state, i) for i in range(len(learner.actors))], None)
+
+
+def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A snapshot's arrays by their names in a learner's state."""
+    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in policies.items()}
+
+
 def _thawed(policy: exchange.Policy) -> dict[str, np.ndarray]:
     """A frozen policy's actors as in a learner's state. Where it normalises what it sees, its statistics weigh as much
     as the decisions that it learnt from in its last league, so that a first batch does not overthrow them.
     """
-    state = {f"actor.{name.replace('/', '.', 1)}": array for name, array in policy.arrays.items()}
+    state = _named(policy.arrays)
     clips = [policy.arrays[f"{i}/trunk.observation_clip"] for i in range(policy.about["roster"].count("+") + 1)]
     counts = [policy.about["steps"] if np.isfinite(clip) else 0 for clip in clips]
     return {**state, "observation_counts": np.asarray(counts, np.float32)}

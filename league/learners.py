@@ -7,14 +7,18 @@ from dataclasses import replace
 from typing import Any
 from zlib import crc32
 
+import numpy as np
+
 from agents.bridge import common_size
 from agents.happo import Learner
 from agents.parallel import ALONE, Together
 from arenas.arena import Arena
 from arenas.state import TeamSpec
+from league import heirs
 from league.config.experiment import Config
 from league.config.sections import named_players
-from storage.records import Player
+from storage.records import Player, Snapshot
+from storage.store import Store
 
 
 def new_learner(config: Config, arena: Arena, player: Player, together: Together = ALONE) -> Learner:
@@ -32,6 +36,24 @@ def new_learner(config: Config, arena: Arena, player: Player, together: Together
     kinds, sees = [a.kind for a in agents], settings.critic_input
     sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
     return Learner(*sizes, settings, seed, config.training.device, kinds, theirs, sight, together)
+
+
+def begin_anew(
+    learner: Learner, config: Config, arena: Arena, player: Player, store: Store, source: Snapshot, iteration: int,
+    together: Together = ALONE,
+) -> None:  # fmt: skip
+    """Have a player's learner go on from the actors of a snapshot, with all else as at its beginning, but other dice.
+
+    What is known of observations is worth as many decisions as the snapshot has learnt from; a first policy that came
+    from another league brings it along, and there it is worth as many as now.
+    """
+    fresh = new_learner(config, arena, player, together)
+    counts = learner.state()["observation_counts"]
+    if not (source.initial and config.after):
+        counts = np.full_like(counts, source.step)
+    heirs.thaw_into(fresh, store.blobs.get(source.digest), counts)
+    learner.load(fresh.state())
+    learner.rng.manual_seed(crc32(f"{config.seed}/{player.name}/{iteration}".encode()))
 
 
 def others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:

@@ -5,7 +5,7 @@ other teams are whom its rule has drawn: past snapshots, by some rules also the 
 from there teaches anybody.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -21,11 +21,15 @@ from storage.store import Store
 class Lineup:
     """The groups of a turn. `worlds` is the number asked for, rounded down to whole groups.
 
-    `seated` says who sits where, `seated[group][team]`: a player's name, or that of a past snapshot.
+    `seated` says who sits where, `seated[group][team]`: a player's name, or that of a past snapshot. Who is `aloof`
+    learns from its own groups alone.
     """
 
-    def __init__(self, turn: TrainingTurn, present: int, worlds: int, store: Store, league: str, arena: Arena):
-        self.arena, self.turn = arena, turn
+    def __init__(
+        self, turn: TrainingTurn, present: int, worlds: int, store: Store, league: str, arena: Arena,
+        aloof: Collection[str] = (),
+    ):  # fmt: skip
+        self.arena, self.turn, self._aloof = arena, turn, aloof
         self.seated: list[tuple[str, ...]] = [turn.present] * present
         self._owner: list[str | None] = [None] * present
         for learner in turn.learners:
@@ -96,7 +100,8 @@ class Lineup:
 
     def _groups_of(self, learner: str) -> list[int]:
         """The groups from which a player learns."""
-        return [k for k, owner in enumerate(self._owner) if owner in (None, learner)]
+        shared = learner not in self._aloof
+        return [k for k, owner in enumerate(self._owner) if owner == learner or (owner is None and shared)]
 
 
 def _known(snapshots: Mapping[str, Snapshot], name: str) -> Snapshot:

@@ -22,12 +22,13 @@ from matchmaking.opponents import (
     alphastar,
     by_quality,
     delta_uniform,
+    exploit,
     gaussian,
     latest,
     pfsp,
     uniform,
 )
-from matchmaking.roles import is_exploiter
+from matchmaking.roles import MAIN, Role, is_exploiter
 from storage.records import Meeting, Player, Snapshot
 
 WIN_RATE = "win rate"
@@ -53,9 +54,22 @@ class Odds:
         return whole / whole.sum()
 
 
-def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, opponent: str) -> Odds:
-    """The odds of a learning player in another team. `opponent` sits there now, "" for nobody."""
-    pool = _pool(opponents, standing, team)
+def odds(
+    opponents: Opponents, standing: Standing, learner: Player, team: int, opponent: str, role: Role = MAIN,
+    since: int = -1,
+) -> Odds:  # fmt: skip
+    """The odds of a learning player in another team.
+
+    Args:
+        opponents: the rule.
+        standing: the league.
+        learner: the player.
+        team: the other team.
+        opponent: who sits there now, "" for nobody.
+        role: the learner's, which says whose snapshots it meets.
+        since: the iteration with which its policy began, if it has begun anew: of its games only later ones count.
+    """
+    pool = met_in(role, opponents, standing, team)
     names = tuple(s.name for s in pool)
     n, read, told = len(names), None, ""
     if not names:
@@ -68,10 +82,10 @@ def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, o
         case "delta_uniform":
             past, why = delta_uniform(n, opponents.delta), f"every snapshot alike but the oldest {opponents.delta:.0%}"
         case "pfsp" | "prioritized":
-            read, told = records(opponents, standing, learner).rates(names), WIN_RATE
+            read, told = records(opponents, standing, learner, since).rates(names), WIN_RATE
             past, why = pfsp(read, opponents.weighting), f"by win rate, weighting {opponents.weighting}"
         case "openai_five":
-            read, told = qualities(opponents, standing, learner, names), "quality"
+            read, told = qualities(opponents, standing, learner, names, since), "quality"
             past, why = by_quality(read), f"softmax of qualities, learning rate {opponents.rate:g}"
         case "gaussian":
             read, told = _predicted(standing, learner, pool), "predicted score"
@@ -91,8 +105,11 @@ def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, o
             why = f"their α-rank mass, α = {opponents.alpha:g}"
         case "fixed":
             past, why = np.ones(n) / n, "always the same"
+        case "exploit":
+            read = records(opponents, standing, learner, since).rates(names)
+            return Odds(opponent, names, exploit(read, [str(s.player) for s in pool]), read, WIN_RATE)
         case "alphastar":
-            known = records(opponents, standing, learner)
+            known = records(opponents, standing, learner, since)
             own = np.array([s.player == opponent or not opponent for s in pool])
             exploiters = np.array([s.player in _exploiters(standing) for s in pool])
             present = known.against(opponent).rate if opponent else None
@@ -102,8 +119,8 @@ def odds(opponents: Opponents, standing: Standing, learner: Player, team: int, o
     return Odds(opponent, names, Mixture(0.0, past, why), read, told)
 
 
-def records(opponents: Opponents, standing: Standing, learner: Player) -> Records:
-    """A learner's win rates by its training games so far.
+def records(opponents: Opponents, standing: Standing, learner: Player, since: int = -1) -> Records:
+    """A learner's win rates by its training games so far, or by those after an iteration.
 
     A snapshot that it has not met inherits from the one that it goes on from; a player that it has not met as it is
     now, from that one's newest snapshot.
@@ -111,15 +128,17 @@ def records(opponents: Opponents, standing: Standing, learner: Player) -> Record
     parents = {s.name: s.parent for s in standing.snapshots}
     parents |= {s.player: s.name for s in standing.snapshots if s.player}
     known = Records(opponents.decay, opponents.shrinkage, parents)
-    for game in _games(standing, learner):
+    for game in _games(standing, learner, since):
         known.note(game.opponent, game.wins, game.draws, game.losses)
     return known
 
 
-def qualities(opponents: Opponents, standing: Standing, learner: Player, names: Sequence[str]) -> np.ndarray:
+def qualities(
+    opponents: Opponents, standing: Standing, learner: Player, names: Sequence[str], since: int = -1
+) -> np.ndarray:
     """(n,) OpenAI Five's qualities of the snapshots, from the learner's games against snapshots so far."""
     known, past = Qualities(opponents.rate), set(names)
-    games = [game for game in _games(standing, learner) if game.pool and game.opponent in past]
+    games = [game for game in _games(standing, learner, since) if game.pool and game.opponent in past]
     for _, played in groupby(games, key=lambda game: game.iteration):
         turn = list(played)
         known.add(names[: turn[0].pool])  # those that were there then, the oldest
@@ -129,8 +148,13 @@ def qualities(opponents: Opponents, standing: Standing, learner: Player, names: 
     return known.of(names)
 
 
-def _games(standing: Standing, learner: Player) -> list[Meeting]:
-    """A learner's training games in their order: after those of a player of its team from which it goes on."""
+def _games(standing: Standing, learner: Player, since: int = -1) -> list[Meeting]:
+    """A learner's training games in their order: after those of a player of its team from which it goes on.
+
+    Where it has begun anew, those that came after that iteration.
+    """
+    if since >= 0:
+        return [m for m in standing.meetings if m.player == learner.name and m.iteration > since]
     team = {p.name for p in standing.players if p.team == learner.team}
     frozen = {s.name: s for s in standing.snapshots}
     name, before, found = learner.name, None, []
@@ -138,8 +162,8 @@ def _games(standing: Standing, learner: Player) -> list[Meeting]:
         history = [s for s in standing.history(name) if before is None or s.iteration <= before]
         parents = [frozen.get(s.parent or "") for s in history]
         copied = [i for i, p in enumerate(parents) if p is not None and p.player in team - {name}]
-        since = history[copied[-1]].iteration if copied else -1
-        own = [m for m in standing.meetings if m.player == name and m.iteration > since]
+        last = history[copied[-1]].iteration if copied else -1
+        own = [m for m in standing.meetings if m.player == name and m.iteration > last]
         found = [m for m in own if before is None or m.iteration <= before] + found
         if not copied or (parent := parents[copied[-1]]) is None or parent.player is None:
             break
@@ -147,12 +171,14 @@ def _games(standing: Standing, learner: Player) -> list[Meeting]:
     return found
 
 
-def _pool(opponents: Opponents, standing: Standing, team: int) -> list[Snapshot]:
-    """The snapshots that a team can be: those of its players, oldest first; or the victim, where it fits."""
+def met_in(role: Role, opponents: Opponents, standing: Standing, team: int) -> list[Snapshot]:
+    """The snapshots that a team can be: those of its players whom the role meets, oldest first; or the victim, where it
+    fits.
+    """
     if opponents.kind == "fixed":
         rosters = {p.roster for p in standing.players if p.team == team}
         return [s for s in standing.snapshots if s.name == opponents.victim and s.roster in rosters]
-    own = _players(standing, team)
+    own = {p.name for p in standing.players if p.team == team and (role.meets is None or p.role in role.meets)}
     return sorted((s for s in standing.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
 
 

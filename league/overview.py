@@ -76,7 +76,7 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[Column | str], n
 
 def _schedule(status: Facts, now: float) -> Iterator[str | Rows]:
     runs = f"League {status.league}: {status.runs or 'stopped'}, as of {when(now)}"
-    yield "\n".join([runs, *status.stages, *status.phases])
+    yield "\n".join([runs, *status.stages, *status.phases, *status.lives])
     yield _table(status.players, PLAYERS, "Players")
 
 
@@ -163,13 +163,13 @@ def _payoff(shown: Shown) -> Iterator[str | Picture | Rows]:
 
 def _opponents(opened: Open, standing: Standing) -> Iterator[str | Picture | Rows]:
     try:
-        rule = explain.rule_of(opened)
+        role_of, seed = opened.roles(), opened.setting("seed", otherwise=1)
     except ConfigError as error:
         yield f"This version cannot read the league's settings: {error}."
         return
     alone = True
     for player in standing.players:
-        for part in _mixture(explain.explained(rule, standing, player), player):
+        for part in _mixture(explain.explained(role_of(player.role), standing, player, seed), player):
             alone = False
             yield part
     if alone:

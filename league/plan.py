@@ -13,6 +13,7 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.jobs import RatingMatch, TrainingTurn, decode, encode
+from league.lives import born, steps_left
 from league.measures import can_meet, initial_opponents, learnt_enough, newest_snapshots, yardsticks
 from league.odds import odds
 from league.share import booking
@@ -46,11 +47,11 @@ def spent(config: Config, standing: Standing, group: str) -> tuple[float, int]:
 def stands_still(config: Config, standing: Standing, group: str) -> bool:
     """Whether a group has nothing to train: its budget is spent, nobody may learn, or its turn was set aside."""
     players = standing.groups[group]
-    if any(p.name not in standing.checkpoints for p in players):
+    if _unmade(standing, group):
         return any(turn.group == group and not turn.iterations for turn in _turns(standing, "failed"))
     if config.budget.spent(*spent(config, standing, group)) or learnt_enough(config, standing, players):
         return True
-    learners = [p for p in players if p.name in _phase(config, standing, group).learners and p.paused is None]
+    learners = _learners(config, players, _phase(config, standing, group))
     bases = {p.name: standing.checkpoints[p.name].digest for p in learners}
     return not learners or any(
         turn.group == group and bases.items() <= turn.bases.items() and turn.dice == _dice(players)
@@ -76,11 +77,9 @@ def somebody_trains(config: Config, standing: Standing) -> bool:
 def next_turns(config: Config, standing: Standing) -> Plan:
     """A turn for every group that has none open and is not done; the first one only makes the players."""
     jobs, phases = [], []
-    busy = {turn.group for turn in _turns(standing, "queued", "leased")}
-    for group, players in standing.groups.items():
-        if group in busy or stands_still(config, standing, group):
-            continue
-        if any(p.name not in standing.checkpoints for p in players):
+    for group in _next_groups(config, standing):
+        players = standing.groups[group]
+        if _unmade(standing, group):
             turn = _first_turn(standing, group, players)
         else:
             phase = _phase(config, standing, group)
@@ -92,6 +91,33 @@ def next_turns(config: Config, standing: Standing) -> Plan:
     return Plan(tuple(jobs), tuple(phases))
 
 
+def _next_groups(config: Config, standing: Standing) -> list[str]:
+    """The groups whose turn is planned now.
+
+    All players are made before one of them learns, for each may meet all. In a deterministic league groups take turns,
+    who has learnt from the fewest steps first: else whom they meet would hang on who is quicker.
+    """
+    busy = {turn.group for turn in _turns(standing, "queued", "leased")}
+    able = [group for group in standing.groups if not stands_still(config, standing, group)]
+    able = [group for group in able if _unmade(standing, group)] or able
+    if not config.deterministic:
+        return [group for group in able if group not in busy]
+    return sorted(able, key=lambda group: spent(config, standing, group)[1])[:1] if not busy else []
+
+
+def _unmade(standing: Standing, group: str) -> bool:
+    return any(p.name not in standing.checkpoints for p in standing.groups[group])
+
+
+def _learners(config: Config, players: Sequence[Player], phase: Phase) -> list[Player]:
+    """Who of a group learns in a turn of that phase."""
+    return [p for p in players if p.name in phase.learners and _able(config, p)]
+
+
+def _able(config: Config, player: Player) -> bool:
+    return player.paused is None and config.role(player.role).learns
+
+
 def _first_turn(standing: Standing, group: str, players: Sequence[Player]) -> TrainingTurn:
     new = [p for p in players if p.name not in standing.checkpoints]
     teams = 1 + max(p.team for p in standing.players)
@@ -101,7 +127,7 @@ def _first_turn(standing: Standing, group: str, players: Sequence[Player]) -> Tr
 
 
 def _turn(config: Config, standing: Standing, group: str, players: Sequence[Player], phase: Phase) -> TrainingTurn:
-    learners = [p for p in players if p.name in phase.learners and p.paused is None]
+    learners = _learners(config, players, phase)
     teams = 1 + max(p.team for p in standing.players)
     seats = _seats(players, teams)
     at = {p.name: standing.checkpoints[p.name] for p in players}
@@ -124,11 +150,16 @@ def _iterations(config: Config, standing: Standing, group: str, learners: Sequen
 
     Where every machine chooses its number of worlds, steps say nothing here: the trainer looks at them as it goes.
     """
-    training, at = config.training, [standing.checkpoints[p.name].iteration for p in learners]
-    limits = [training.turn, *(next_due(i, training.snapshots_per_doubling) - i for i in at)]
-    left, steps = remaining(phase, _learnt(standing, learners)), []
-    if left is not None:
-        (steps if "step" in phase.until else limits).append(left)
+    training, limits, steps = config.training, [config.training.turn], []
+    for player in learners:
+        role, at = config.role(player.role), standing.checkpoints[player.name]
+        if role.timeout is not None:
+            steps.append(steps_left(role, standing.history(player.name)[-1], at.step) or 0)
+        elif not role.has_lives:
+            limits.append(next_due(at.iteration, training.snapshots_per_doubling) - at.iteration)
+    more = remaining(phase, _learnt(standing, learners))
+    if more is not None:
+        (steps if "step" in phase.until else limits).append(more)
     if config.budget.steps is not None:
         steps.append(config.budget.steps - spent(config, standing, group)[1])
     if training.worlds is not None:
@@ -146,19 +177,20 @@ def _opponents(config: Config, standing: Standing, learner: Player, seats: Seque
     """Opponents of a learning player for the whole turn, drawn at once: for each of its groups of worlds who sits in
     every team, "" in its own and where it is the present player. And with which chance, of how many, each was drawn.
     """
-    opponents = config.training.opponents
+    opponents, role = config.opponents(learner), config.role(learner.role)
     present, past = opponents.split()
     if "" in seats:  # a team without a player in this group can only be its past
         present, past = 0, present + past
     if not past:
         return (), {}
     iteration = standing.checkpoints[learner.name].iteration
+    anew = born(role, config.seed, learner.name, standing.history(learner.name))
     rng = np.random.default_rng([config.seed, iteration, crc32(learner.name.encode())])
     lineups, chances = [[""] * len(seats) for _ in range(past)], {}
     for team, opponent in enumerate(seats):
         if team == learner.team:
             continue
-        found = odds(opponents, standing, learner, team, opponent)
+        found = odds(opponents, standing, learner, team, opponent, role, anew.iteration if anew else -1)
         names = (*found.names, "")
         for lineup, i in zip(lineups, draw(found.weights, past, rng), strict=True):
             lineup[team] = names[i]
@@ -171,7 +203,7 @@ def _phase(config: Config, standing: Standing, group: str) -> Phase:
     """The phase that the group is in, or goes over to now."""
     players = standing.groups[group]
     schedule = config.training.schedule
-    able = {p.team: p.name for p in players if p.paused is None}
+    able = {p.team: p.name for p in players if _able(config, p)}
     phase, learnt = standing.phases.get(group), _learnt(standing, players)
     if phase is None:
         return first_phase(schedule, config.league, group, able, learnt)

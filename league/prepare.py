@@ -20,10 +20,11 @@ from arenas.blame import blame, sources
 from league import devices, memory
 from league.config import experiment as configuration
 from league.config.experiment import Config
-from league.config.schema import ConfigError, literal, refuse
+from league.config.schema import ConfigError, Key, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.fading import floor
 from league.heirs import Misfit, forerunners, heritage
+from matchmaking.opponents import Opponents
 from storage.errors import NotAStore
 from storage.records import League, Player
 from storage.store import Store
@@ -119,7 +120,7 @@ def examine(config: Config) -> "Arena":
     if until is not None and until <= least:
         told = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
         raise refuse(("training", "shaping_until"), until, told)
-    _examine_groups(config, len(teams))
+    _examine_groups(config, teams)
     _examine_opponents(config, arena)
     _examine_players(config, teams)
     _examine_ladder(config, arena)
@@ -268,33 +269,46 @@ def _examine_critic(config: Config, arena: "Arena") -> None:
         raise refuse(("learner", "critic_input"), sees, told)
 
 
-def _examine_groups(config: Config, teams: int) -> None:
+def _examine_groups(config: Config, teams: list[str]) -> None:
     """Every group of a turn needs a world: one group, or some, of present opponents, and each learner's past ones."""
-    present, past = config.training.opponents.split()
-    learners = teams if config.training.schedule.kind == "simultaneous" else 1
-    groups, count = present + past * learners, worlds(config)
-    if past and teams > 1 and groups > count:
-        told = (
-            f"{learners} who learn meet past opponents in {past} groups each, beside {present} of present ones: with"
-            f" {count} worlds there can be no {groups} groups; use more training.worlds, or fewer groups"
-        )
-        raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, told)
+    together: dict[str, list[Opponents]] = {}
+    for player in roster(config, teams):
+        if config.role(player.role).learns:
+            together.setdefault(player.group, []).append(config.opponents(player))
+    for rules in together.values():
+        most = rules if config.training.schedule.kind == "simultaneous" else rules[:1]
+        past, present = sum(rule.split().past for rule in most), max(rule.split().present for rule in most)
+        groups, count = present + past, worlds(config)
+        if past and len(teams) > 1 and groups > count:
+            told = (
+                f"{len(most)} who learn meet past opponents in {past} groups, beside {present} of present ones: with"
+                f" {count} worlds there can be no {groups} groups; use more training.worlds, or fewer groups"
+            )
+            raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, told)
+
+
+def _rules(config: Config, teams: list[str]) -> list[tuple[Key, Opponents]]:
+    """The rules by which players of the league meet others, with the key under which each stands."""
+    used = {p.role for p in roster(config, teams)}
+    own = [(("roles", str(i), "opponents"), role.opponents) for i, role in enumerate(config.roles) if role.name in used]
+    return [(("training", "opponents"), config.training.opponents), *((key, rule) for key, rule in own if rule)]
 
 
 def _examine_opponents(config: Config, arena: "Arena") -> None:
     """Alpha-rank is of one population: snapshots of the other team must be able to play each other."""
     rosters = list(dict.fromkeys(team.roster for team in arena.teams))
-    if config.training.opponents.kind == "alpharank" and len(rosters) > 1:
-        told = f"the teams of {arena.name} are unlike ({', '.join(rosters)}), and no population; use nash"
-        raise refuse(("training", "opponents", "kind"), "alpharank", told)
+    for key, rule in _rules(config, [team.name for team in arena.teams]):
+        if rule.kind == "alpharank" and len(rosters) > 1:
+            told = f"the teams of {arena.name} are unlike ({', '.join(rosters)}), and no population; use nash"
+            raise refuse((*key, "kind"), "alpharank", told)
 
 
 def _examine_victim(where: str, config: Config, arena: "Arena") -> None:
     """Whom players always meet must be there, or come with the league."""
     from league.policies import script_titles
 
-    victim = config.training.opponents.victim
-    if not victim:
+    victims = {(*key, "victim"): rule.victim for key, rule in _rules(config, [team.name for team in arena.teams])}
+    if not any(victims.values()):
         return
     known = list(script_titles(arena, _scripts(config, arena))) + [f"{p.name}@0" for p in players_of(config, arena)]
     try:
@@ -303,10 +317,10 @@ def _examine_victim(where: str, config: Config, arena: "Arena") -> None:
                 known = list(dict.fromkeys([*known, *(s.name for s in store.snapshots(config.league))]))
     except NotAStore:
         pass
-    if victim not in known:
-        shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
-        told = f"the league has no snapshot of that name; there are: {shown}"
-        raise refuse(("training", "opponents", "victim"), victim, told)
+    for key, victim in victims.items():
+        if victim and victim not in known:
+            shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+            raise refuse(key, victim, f"the league has no snapshot of that name; there are: {shown}")
 
 
 def _examine_players(config: Config, teams: list[str]) -> None:

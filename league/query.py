@@ -4,7 +4,7 @@ Reads the store and nothing else: neither jax nor torch nor mujoco is loaded.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 from league.course import at_work
@@ -17,6 +17,8 @@ from storage.store import Store
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from matchmaking.roles import Role
 
 R = TypeVar("R", int, float, str, list)
 
@@ -144,6 +146,18 @@ class Open:
             return type(otherwise)(value)
         except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError):
             return otherwise
+
+    def roles(self) -> Callable[[str], "Role"]:
+        """The league's roles by their names, with nothing left open. Raises ConfigError for settings that are none."""
+        from league.config import toml
+        from league.config.build import build
+        from matchmaking.opponents import Opponents
+        from matchmaking.roles import Role, role_named
+
+        settings = toml.parse(self.store.league(self.league).config, f"league {self.league}")
+        declared = [build(Role, table) for table in settings.get("roles", ())]
+        otherwise = build(Opponents, settings.get("training", {}).get("opponents", {}))
+        return lambda name: role_named(name, declared, otherwise)
 
 
 class Shown(NamedTuple):

@@ -3,7 +3,8 @@
 A *turn* is what one lease covers: some learning iterations of the players whose turn it is, and at its end a checkpoint
 of each, and snapshots where they are due, in one transaction. In the words of HARL-A (Peterson et al., 2025): all teams
 act in N worlds; then each learning team updates its agents one after the other by HAPPO, from its own rewards, with a
-critic and a value normaliser of its own. What is added: in some worlds the other teams may be past snapshots.
+critic and a value normaliser of its own. What is added: in some worlds the other teams may be past snapshots; and a
+player whose life ends (`league/lives.py`) is frozen, and then may begin anew.
 """
 
 import time
@@ -25,15 +26,16 @@ from agents.parallel import ALONE, Together
 from agents.policy import Crew
 from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering, results
 from arenas.arena import Arena
-from league import fading, heirs, memory
+from league import fading, heirs, lives, memory
 from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.jobs import TrainingTurn
-from league.learners import beside, new_learner, others
+from league.learners import begin_anew, beside, new_learner, others
 from league.lineup import Lineup
 from league.policies import freeze
-from league.standing import episode_scores
+from league.standing import Standing, episode_scores
+from matchmaking.roles import Role
 from matchmaking.schedule import Learnt, next_due, remaining, turn_score
 from storage import arrays
 from storage.records import ArenaKey, Checkpoint, CurvePoint, Lease, Meeting, Phase, Player, Snapshot
@@ -90,6 +92,9 @@ class Trainer:
         self._copied: tuple[str, ...] = ()  # players that take over this turn's learner's actors
         self._earlier: list[CurvePoint] = []  # of the phase's learner, from its turns before this one
         self._handed_over = False  # whether the turn ended its learner's turn of leapfrog
+        self._histories: Mapping[str, list[Snapshot]] = {}  # of the players of the turn, oldest first
+        self._log: list[Meeting] = []  # of the store's, as far as it was read: by them lives end
+        self._frozen: dict[str, bytes] = {}  # players whose life the turn has ended, as they were then
         self.interrupted = False  # whether the last turn was told to stop before its end
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
@@ -134,7 +139,7 @@ class Trainer:
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
             yield Progress({name: self.counters[name] for name in turn.learners}, steps / elapsed, points)
-            if self._enough(turn, before) or self._is_over(phase):
+            if self._enough(turn, before) or self._is_over(phase) or self._timed_out(turn):
                 break
             if left and self.together.first(stop()):
                 self.interrupted = True
@@ -147,6 +152,7 @@ class Trainer:
             self._handed_over = kind == "leapfrog"
             if kind == "ladder":
                 self._copy(store, turn, phase)
+        self._end_lives(store, turn)
         compare(self.learners)
 
     def commit(self, store: Store, lease: Lease, turn: TrainingTurn) -> None:
@@ -270,13 +276,15 @@ class Trainer:
     def _shaping(self, name: str) -> float:
         """Weight of a player's dense reward as it stands."""
         fades = self._fading[name]
-        return fades.weight if fades else fading.by_steps(self.config.training, self.counters[name].steps)
+        begun = lives.fresh_since(self._role(name), self.config.seed, name, self._histories[name])
+        return fades.weight if fades else fading.by_steps(self.config.training, self.counters[name].steps - begun)
 
     # Before and after ------------------------------------------------------------------------------------------------
 
     def _resting(self, turn: TrainingTurn) -> list[str]:
-        """Players that sit in the turn and do not learn; a paused one's critic stands still too."""
-        return [n for n in turn.present if n and n not in turn.learners and self.players[n].paused is None]
+        """Players that sit in the turn and rest; critics of those that are paused or never learn stand still too."""
+        rest = [name for name in turn.present if name and name not in turn.learners and self._role(name).learns]
+        return [name for name in rest if self.players[name].paused is None]
 
     def _begin(self, store: Store, turn: TrainingTurn) -> None:
         """Make the players of the turn: as their seeds have them, or from players of the leagues before this one."""
@@ -306,13 +314,42 @@ class Trainer:
         self._parents = dict.fromkeys(self._copied, store.snapshots(phase.league, learner)[-1].name)
         self._worlds.pop(turn.group)  # an episode against two opponents in turn is neither's game
 
+    def _end_lives(self, store: Store, turn: TrainingTurn) -> None:
+        """Freeze the learners whose life is over, and only then begin anew with those whose role and dice have it so.
+
+        Snapshot and new checkpoint are written in the turn's one transaction. What was frozen are bytes, which nothing
+        that is learnt later can change.
+        """
+        own = [self.players[name] for name in turn.learners if self._role(name).has_lives]
+        if not own:
+            return
+        league, seed = own[0].league, self.config.seed
+        self._log += store.meetings(league, self._log[-1].id if self._log else 0)
+        games = [*self._log, *self._meetings]
+        standing = Standing(list(self.players.values()), store.snapshots(league), meetings=games)
+        found = {p.name: lives.life(self._role(p.name), standing, p, self.counters[p.name].steps) for p in own}
+        over = [name for name, life in found.items() if life is not None and life.over]
+        for name in self.together.first(over):
+            self._frozen[name] = self._freeze(name)
+            role, player, at = self._role(name), self.players[name], self.counters[name].iteration
+            if role.reset_after(seed, name, at):
+                source = lives.source(role, player, None, standing)
+                begin_anew(self.learners[name], self.config, self.arena, player, store, source, at, self.together)
+                if role.reset == "initial":
+                    self._fading[name] = fading.begun(self.config.training, len(self.arena.teams))
+                self._worlds.pop(turn.group, None)  # an episode that two policies played is neither's
+
+    def _role(self, name: str) -> Role:
+        return self.config.role(self.players[name].role)
+
     def _restore(self, store: Store, turn: TrainingTurn) -> None:
         """Bring every player of the turn to the checkpoint that the turn starts from, unless it stands there."""
         self._points, self._meetings, self._parents, self._copied = [], [], {}, ()
-        self._earlier, self._handed_over = [], False
+        self._earlier, self._handed_over, self._frozen = [], False, {}
         self._at = self.together.first(self._at)
         league = next(iter(self.players.values())).league
         self.players = {player.name: player for player in store.players(league)}  # one may have been paused
+        self._histories = {name: store.snapshots(league, name) for name in turn.present if name}
         for name, digest in turn.bases.items():
             player = self.players[name]
             if digest and (digest != self._at[name] or turn.dice):
@@ -328,11 +365,14 @@ class Trainer:
             self.counters[name] = Counters(kept.iteration, kept.step, kept.seconds) if kept else Counters()
 
     def _lineup(self, store: Store, turn: TrainingTurn) -> Lineup:
-        present = 0 if "" in turn.present else self.config.training.opponents.split()[0]
+        alone = "" in turn.present
+        groups = {n: 0 if alone else self.config.opponents(self.players[n]).split().present for n in turn.learners}
+        present = max(groups.values())
         if not any(turn.past.values()):
             present = 1  # without past opponents all groups would be alike
+        aloof = [name for name, wanted in groups.items() if not wanted and turn.past.get(name)]
         league = next(iter(self.players.values())).league
-        return Lineup(turn, present, self.asked, store, league, self.arena)
+        return Lineup(turn, present, self.asked, store, league, self.arena, aloof)
 
     def _prepare(self, lineup: Lineup, turn: TrainingTurn) -> tuple[Worlds, Callable]:
         """Worlds and the compiled rollout, so that neither counts as training time.
@@ -387,30 +427,48 @@ class Trainer:
         seconds = 0.0 if self.config.deterministic else total([c.seconds for c in at])
         return self.config.budget.spent(seconds, total([c.steps for c in at]))
 
+    def _timed_out(self, turn: TrainingTurn) -> bool:
+        """Whether the life of one who learns has lasted for as many steps as its role gives it."""
+        return any(
+            lives.steps_left(self._role(name), self._histories[name][-1], self.counters[name].steps) == 0
+            for name in turn.learners
+        )
+
     def _snapshot(self, store: Store, player: Player, key: ArenaKey, turn: TrainingTurn) -> list[Snapshot]:
         """The player frozen as it is now, if that is due: at the start, in between, when the budget is spent.
 
-        And when its turn of leapfrog ends.
+        And when its turn of leapfrog or its life ends.
         """
-        kept = store.snapshots(player.league, player.name)
+        standing = Standing(list(self.players.values()), store.snapshots(player.league))
+        kept = standing.history(player.name)
         if kept and not self._snapshot_due(player, kept[-1], turn):
             return []
         at = self.counters[player.name]
-        actors = [{k: v.cpu().numpy() for k, v in actor.items()} for actor in self.learners[player.name].policies()]
-        parent = self._parents.get(player.name, kept[-1].name if kept else None)
+        actors = self._frozen.get(player.name) or self._freeze(player.name)
+        gone_on_from = lives.parent(self._role(player.name), self.config.seed, player, standing)
+        parent = self._parents.get(player.name, gone_on_from)
         return [
             Snapshot(
-                player.league, f"{player.name}@{at.iteration}", store.blobs.put(freeze(actors)), player.roster,
+                player.league, f"{player.name}@{at.iteration}", store.blobs.put(actors), player.roster,
                 player.name, parent=parent, initial=not kept, arena=key,
                 settings=configuration.dumps(self.config), step=at.steps, iteration=at.iteration, seconds=at.seconds,
             )
         ]  # fmt: skip
 
+    def _freeze(self, name: str) -> bytes:
+        """A player's actors as they are now."""
+        policies = self.learners[name].policies()
+        return freeze([{key: tensor.cpu().numpy() for key, tensor in policy.items()} for policy in policies])
+
     def _snapshot_due(self, player: Player, last: Snapshot, turn: TrainingTurn) -> bool:
-        now = self.counters[player.name]
+        """Whether it is. Who may begin anew is frozen when its life ends and never else: by that a life is told."""
+        now, role = self.counters[player.name], self._role(player.name)
         if now.iteration == last.iteration:
             return False
-        on_axis = now.iteration >= next_due(last.iteration, self.config.training.snapshots_per_doubling)
+        if player.name in self._frozen or role.begins_anew:
+            return player.name in self._frozen
+        due = next_due(last.iteration, self.config.training.snapshots_per_doubling)
+        on_axis = now.iteration >= due and not role.has_lives
         marks = () if self.config.deterministic else self.config.rating.milestone_seconds
         passed = any(last.seconds < mark <= now.seconds for mark in marks)
         hands_over = self._handed_over and player.name in turn.learners

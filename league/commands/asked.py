@@ -29,7 +29,7 @@ class RunOptions:
     file: str | None = positional(None)
     """A league.toml (see `league init`). Without one and without --preset: the league last run here."""
     preset: str | None = None
-    """Settings to start from: quickstart, duel, paper, sumo-by-team, sumo-within-team."""
+    """Settings to start from: quickstart, duel, alphastar, psro, sumo-by-team, ...; an unknown one is told with all."""
     store: str = STORE
     """The store: a folder, or a URL such as sqlite:///runs/league.db or postgresql://host/league."""
     blobs: str | None = None
@@ -76,7 +76,7 @@ def read(args: Sequence[str]) -> Asked:
     league = words.given.get(("league",))
     text, source, preset = _under(words, first.get("preset"), first.get("store") or STORE, league)
     given = {key: value for key, value in words.given.items() if not (len(key) == 1 and key[0] in names)}
-    base = configuration.base_of(toml.parse(text, source), given, source) if text is not None else preset
+    base = configuration.base_of(toml.parse(text, source), given, source, text) if text is not None else preset
     assert base is not None
     words = taken_apart(base)
     given = {key: value for key, value in words.given.items() if not (len(key) == 1 and key[0] in names)}

@@ -3,18 +3,17 @@
 import json
 import shutil
 import textwrap
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from dashboards.tables import Column, render
 from league.commands.options import Where, parse, positional
-from league.config.build import build
+from league.lives import born
 from league.odds import WIN_RATE, Odds, odds, records
-from league.query import Open
 from league.standing import Standing
 from matchmaking.opponents import Opponents, Records
+from matchmaking.roles import Role
 from storage.errors import UnknownName
 from storage.records import Player
 
@@ -38,11 +37,12 @@ def explain(args: list[str]) -> int:
     """Print a player's opponents."""
     options = parse(ExplainOptions, args, "explain", "Whom a player meets in training now, how often, and why.")
     with options.open() as opened:
-        standing, rule = Standing.of(opened.store, opened.league), rule_of(opened)
+        standing = Standing.of(opened.store, opened.league)
+        role_of, seed = opened.roles(), opened.setting("seed", otherwise=1)
     player = next((p for p in standing.players if p.name == options.player), None)
     if player is None:
         raise UnknownName("player", options.player, [p.name for p in standing.players])
-    found = explained(rule, standing, player)
+    found = explained(role_of(player.role), standing, player, seed)
     if options.format == "json":
         print(json.dumps(found, indent=2, ensure_ascii=False))
     else:
@@ -50,27 +50,28 @@ def explain(args: list[str]) -> int:
     return 0
 
 
-def rule_of(opened: Open) -> Opponents:
-    """By which rule a league's players meet others, read without what a whole configuration needs."""
-    settings = tomllib.loads(opened.store.league(opened.league).config)
-    return build(Opponents, settings.get("training", {}).get("opponents", {}))
+def explained(role: Role, standing: Standing, player: Player, seed: int = 1) -> dict[str, Any]:
+    """A player's opponents, team by team: the odds of its next turn as plain values, for JSON.
 
-
-def explained(rule: Opponents, standing: Standing, player: Player) -> dict[str, Any]:
-    """A player's opponents, team by team: the odds of its next turn as plain values, for JSON."""
+    `role` says what it meets, `seed` is the league's, by which it is known whether the player has begun anew.
+    """
+    rule = role.opponents or Opponents()
+    anew = born(role, seed, player.name, standing.history(player.name))
+    since = -1 if anew is None else anew.iteration
     seats = {p.team: p.name for p in standing.groups[player.group] if p.team != player.team}
     others = sorted({p.team for p in standing.players} - {player.team})
     drawn = rule.true_share if all(team in seats for team in others) else 1.0
-    known = records(rule, standing, player)
+    known = records(rule, standing, player, since)
     phase = standing.phases.get(player.group)
     teams = []
     for team in others:
-        at = odds(rule, standing, player, team, seats.get(team, ""))
+        at = odds(rule, standing, player, team, seats.get(team, ""), role, since)
         teams.append({"team": team, "why": at.mixture.why, "reads": at.told, "opponents": _rows(at, known, drawn)})
+    learns = phase is None or player.name in phase.learners
     return {
-        "player": player.name, "kind": rule.kind, "share": drawn, "groups": rule.groups if drawn else 1,
-        "decay": rule.decay, "shrinkage": rule.shrinkage,
-        "learns": player.paused is None and (phase is None or player.name in phase.learners), "teams": teams,
+        "player": player.name, "role": role.name, "kind": rule.kind, "share": drawn,
+        "groups": rule.groups if drawn else 1, "decay": rule.decay, "shrinkage": rule.shrinkage,
+        "learns": learns and player.paused is None and role.learns, "teams": teams,
     }  # fmt: skip
 
 

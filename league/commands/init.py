@@ -16,7 +16,7 @@ class InitOptions:
     folder: str = positional(".")
     """Folder for league.toml (default: this one)."""
     preset: str = "quickstart"
-    """Settings to start from: quickstart, duel, paper, sumo-by-team, sumo-within-team."""
+    """Settings to start from: quickstart, duel, alphastar, psro, sumo-by-team, ...; an unknown one is told with all."""
 
 
 def init(args: list[str]) -> int:

@@ -11,17 +11,19 @@ from league.commands.tables import clock
 from league.config.sections import Rating
 from league.course import course
 from league.liveness import leader, processes
+from league.lives import Life, life
 from league.query import Open, score_text
 from league.share import words
 from league.standing import Standing, turn_scores
 from matchmaking.payoff import Score
+from matchmaking.roles import FIXED
 from matchmaking.schedule import Kind, Learnt, Schedule, remaining
 from storage.records import Checkpoint, Job, Phase, Player, Worker
 from storage.store import Store
 
 STATES = {"queued": "queued", "leased": "being worked on", "done": "done", "failed": "set aside"}
 PLAYERS = (
-    Column("player", whole=True), "team", "group", "iteration", "steps", Column("trained", whole=True),
+    Column("player", whole=True), "team", "role", "group", "iteration", "steps", Column("trained", whole=True),
     Column("now", whole=True),
 )  # fmt: skip
 WORKERS = ("worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("seen s ago", decimals=1))
@@ -46,6 +48,7 @@ class Facts:
     share: str  # of the devices that rating matches have taken
     stages: Sequence[str]
     phases: Sequence[str]
+    lives: Sequence[str]  # of players whose role has them
     paused: Sequence[str]
     failed: Sequence[str]
     workers: Sequence[dict]
@@ -69,6 +72,7 @@ def facts(opened: Open, whole_errors: bool = False) -> Facts:
         f"Rating: {_share(opened, players, checkpoints)}",
         _stages(store, league),
         [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners],
+        _lives(opened, players, checkpoints),
         [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None],
         [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"],
         [_worker(worker, now) for worker in working],
@@ -84,6 +88,7 @@ def report(opened: Open, whole_errors: bool = False) -> str:
         render(found.players, PLAYERS),
         found.share,
         *_listed("Phases", found.phases),
+        *_listed("Lives", found.lives),
         *_listed("Paused", found.paused),
         *_listed("Set aside", found.failed),
         *([render(found.workers, WORKERS)] if found.workers else []),
@@ -114,11 +119,21 @@ def _running(store: Store, league: str, working: Sequence[Worker]) -> str:
 def _player(player: Player, at: Checkpoint | None, phase: Phase | None, runs: bool) -> dict:
     learns = phase is not None and player.name in phase.learners
     iteration, steps, seconds = (at.iteration, at.step, at.seconds) if at else (0, 0, 0.0)
-    now = "paused" if player.paused is not None else "learns" if learns else "rests" if phase else "not begun"
+    now = (
+        "paused"
+        if player.paused is not None
+        else "fixed"
+        if player.role == FIXED.name
+        else "learns"
+        if learns
+        else "rests"
+        if phase
+        else "not begun"
+    )
     if player.setbacks:
         now += f", {player.setbacks} setback{'s' * (player.setbacks > 1)}"
     return {
-        "player": player.name, "team": player.team, "group": player.group,
+        "player": player.name, "team": player.team, "role": player.role, "group": player.group,
         "iteration": iteration, "steps": steps, "trained": clock(seconds),
         "now": now if runs or player.paused is not None else "stopped",
     }  # fmt: skip
@@ -143,6 +158,35 @@ def _phase(phase: Phase, checkpoints: Mapping[str, Checkpoint], scores: Mapping[
         end = f"its turn is over, for it {sure}" if over else f"{end}, or before that when it {sure}"
     verb = "learns" if len(phase.learners) == 1 else "learn"
     return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
+
+
+def _lives(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Checkpoint]) -> list[str]:
+    """What ends the lives of those who have one by their role."""
+    role_of = opened.roles()
+    with_lives = [p for p in players if p.name in checkpoints and role_of(p.role).has_lives]
+    if not with_lives:
+        return []
+    store, league = opened.store, opened.league
+    standing = Standing(players, store.snapshots(league), meetings=store.meetings(league))
+    found = [(p, life(role_of(p.role), standing, p, checkpoints[p.name].step)) for p in with_lives]
+    return [_life(player, each) for player, each in found if each is not None]
+
+
+def _life(player: Player, now: Life) -> str:
+    """Since when it lasts, what will end it, and what follows."""
+    role, ends = now.role, []
+    if role.win_rate is not None:
+        least = min(now.scores.items(), key=lambda item: item[1].low, default=None)
+        told = "nobody is there yet" if least is None else f"least sure against {least[0]}, {score_text(least[1])}"
+        ends.append(f"it surely scores above {100 * role.win_rate:g} % against all {len(now.scores)} it meets ({told})")
+    if role.timeout is not None:
+        ends.append(f"after {role.timeout:,} steps ({now.left:,} are left)")
+    told = f"{player.name} ({role.name}) since {now.since.name}: frozen when {' or '.join(ends)}"
+    if not role.begins_anew:
+        return told
+    whence = "its first policy" if role.reset == "initial" else "the newest main player"
+    chance = "" if role.reset_chance in (None, 1) else f", with probability {role.reset_chance:g}"
+    return f"{told}; then it begins anew from {whence}{chance}"
 
 
 def _share(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Checkpoint]) -> str:

@@ -29,7 +29,12 @@ from league.config.sections import (
     check_name,
     named_players,
 )
-from matchmaking.opponents.settings import BY_RATINGS
+from matchmaking.opponents.settings import BY_RATINGS, Opponents
+from matchmaking.roles import MAIN, Role, check_roles, role_named
+from storage.records import Player
+
+PRESET = "preset"
+"""The key of a file that names the settings under its own."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,9 @@ class Config:
     """The game; `name` chooses it."""
     players: tuple[PlayerSettings, ...] = ()
     """Who learns: tables [[players]]; without any, each team has one main player, named after it."""
+    roles: tuple[Role, ...] = ()
+    """What players are: tables [[roles]], each with a name and what differs from the role that is there already; for
+    opponents of its own [roles.opponents]."""
     training: Training = field(default_factory=Training)
     """How players learn."""
     learner: HappoConfig = field(default_factory=HappoConfig)
@@ -97,6 +105,15 @@ class Config:
         if training.devices > 1:
             self._check_devices()
         self._check_players()
+        check_roles(self.roles, [player.role for player in self.players])
+
+    def role(self, name: str) -> Role:
+        """The role of that name, with nothing left open."""
+        return role_named(name, self.roles, self.training.opponents)
+
+    def opponents(self, player: Player | PlayerSettings) -> Opponents:
+        """Whom a player of the league meets."""
+        return self.role(player.role).opponents or self.training.opponents
 
     def _check_devices(self) -> None:
         """Each device has as many worlds, and enough of them for what they are split into."""
@@ -115,11 +132,13 @@ class Config:
             raise ValueError(f"training.opponents.groups: each device has only {each} worlds to share")
 
     def _check_deterministic(self) -> None:
-        if (kind := self.training.opponents.kind) in BY_RATINGS:
-            raise ValueError(
-                f"deterministic: opponents.kind = {kind!r} follows ratings, whose matches end in no fixed order;"
-                " use another kind"
-            )
+        for name in {p.role for p in self.players} | {MAIN.name}:
+            rule = self.role(name).opponents
+            if rule is not None and rule.kind in BY_RATINGS:
+                raise ValueError(
+                    f"deterministic: opponents.kind = {rule.kind!r} follows ratings, whose matches end in no fixed"
+                    " order; use another kind"
+                )
         if self.budget.steps is None:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")
         if self.budget.train is not None:
@@ -187,10 +206,11 @@ def arena_of(table: Mapping[str, Any]) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def base_of(table: Mapping[str, Any], given: flags.Given, source: str) -> Config:
-    """The defaults that a file's keys and then the flags change: those of the arena that they name.
+def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str = "") -> Config:
+    """The defaults that a file's keys and then the flags change: those of the arena and the preset that they name.
 
-    Raises ConfigError where a flag names another arena than a file whose settings are for its own.
+    Raises ConfigError where a flag names another arena than a file whose settings are for its own, and for a preset
+    that is not there, with its line where the `text` is given.
     """
     asked, named = given.get(("arena", "name")), arena_of(table)
     if asked is not None and named is not None and asked != named:
@@ -199,7 +219,15 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str) -> Config
             f'--arena.name {asked} contradicts arena.name = "{named}" in {source}: change it there, or leave it out',
         )
     name = asked or named
-    return default() if name is None else default(name)
+    if PRESET not in table:
+        return default() if name is None else default(name)
+    from league.config.presets import preset  # presets are made of this
+
+    try:
+        base = preset(str(table[PRESET]))
+    except ConfigError as error:
+        raise ConfigError(error.key, error.message, f"{toml.place(error.key, text, source)}: ") from None
+    return base if name in (None, base.arena.name) else replace(base, arena=default(name).arena)
 
 
 def loads(text: str, source: str = "league.toml", given: flags.Given | None = None) -> Config:
@@ -209,11 +237,13 @@ def loads(text: str, source: str = "league.toml", given: flags.Given | None = No
     where: the file and its line, or the flag.
     """
     given, table = given or {}, toml.parse(text, source)
-    base = base_of(table, given, source)
-    tables = table.pop(parts.KEY, ())
+    base = base_of(table, given, source, text)
+    table.pop(PRESET, None)
+    tables = table.pop(parts.KEY, None)
     merged = flags.merged(table, flags.values(given, Config, base))
     try:
-        config = replace(build(Config, merged, base), stages=parts.read(tables))
+        config = build(Config, merged, base)
+        config = config if tables is None else replace(config, stages=parts.read(tables))
         for number in range(len(config.stages)):
             stage(config, number)  # each must be possible
         return config

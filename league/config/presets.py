@@ -8,8 +8,10 @@ from typing import Any
 from agents.settings import Architecture, HappoConfig
 from league.config.experiment import Config, default
 from league.config.schema import ConfigError
-from league.config.sections import Budget
+from league.config.sections import Budget, PlayerSettings
 from league.config.stages import Stage
+from matchmaking.opponents import Opponents
+from matchmaking.roles import Role
 from matchmaking.schedule import Schedule
 
 
@@ -23,6 +25,70 @@ def duel() -> Config:
     """1v1 rovers: twice as fast to simulate, and flat after half a minute."""
     config = default("sumo-1v1")
     return replace(config, league="duel", budget=Budget(train="2m", rate="1m"))
+
+
+def selfplay() -> Config:
+    """The quick start against the opponents as they are now."""
+    return _versus("selfplay", Opponents("latest"))
+
+
+def delta_uniform() -> Config:
+    """The quick start against the newer half of the history (Bansal et al. 2018)."""
+    return _versus("delta-uniform", Opponents("delta_uniform", delta=0.5))
+
+
+def openai_five() -> Config:
+    """The quick start by OpenAI Five's rule (Berner et al. 2019): a fifth of the games against the past, by quality."""
+    return _versus("openai-five", Opponents("openai_five"))
+
+
+def psro() -> Config:
+    """The quick start against the Nash mixture of the payoff table (PSRO, Lanctot et al. 2017).
+
+    Both teams go on from where they are, instead of from fresh policies as there. What is never rated counts as even,
+    so matches get a quarter of the time.
+    """
+    config = _versus("psro", Opponents("nash"))
+    return replace(config, rating=replace(config.rating, share=0.25))
+
+
+def leapfrog() -> Config:
+    """The quick start by turns: who surely scores 70 % hands over, after 50 iterations at the latest."""
+    config = _versus("leapfrog", Opponents("latest"))
+    schedule = Schedule("leapfrog", period=50, until_score=0.7)
+    return replace(config, training=replace(config.training, schedule=schedule))
+
+
+def alphastar() -> Config:
+    """AlphaStar's league (Vinyals et al. 2019) in the quick start's arena: a main player, a main exploiter and a league
+    exploiter for each team.
+
+    There 3 main and 6 league exploiters hunt 3 main players; here a league exploiter fewer for each. A life lasts for
+    billions of steps there; here for one or half a minute of two cores, and a main player is frozen every 20 seconds.
+    Each pair of the three learns for five minutes, one after the other where there is one process that trains.
+    """
+    config = _versus("alphastar", Opponents("alphastar"))
+    players = tuple(
+        PlayerSettings(team, f"{team}{ending}", role, group)
+        for group, ending, role in (
+            ("main", "", "main"),
+            ("main-exploiters", "-main-exploiter", "main_exploiter"),
+            ("league-exploiters", "-league-exploiter", "league_exploiter"),
+        )
+        for team in ("blue", "red")
+    )
+    roles = (
+        Role("main", timeout=100_000),
+        Role("main_exploiter", timeout=300_000),
+        Role("league_exploiter", timeout=150_000),
+    )
+    return replace(config, players=players, roles=roles)
+
+
+def _versus(name: str, opponents: Opponents) -> Config:
+    """The quick start with another rule for opponents."""
+    config = quickstart()
+    return replace(config, league=name, training=replace(config.training, opponents=opponents))
 
 
 def harl_a() -> Config:
@@ -128,7 +194,9 @@ def _galaga(size: str) -> tuple[Stage, ...]:
 
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
-    "quickstart": quickstart, "duel": duel, "harl_a": harl_a, "sumo-by-team": by_team, "sumo-within-team": within_team,
+    "quickstart": quickstart, "duel": duel, "selfplay": selfplay, "leapfrog": leapfrog, "alphastar": alphastar,
+    "psro": psro, "openai-five": openai_five, "delta-uniform": delta_uniform, "harl_a": harl_a,
+    "sumo-by-team": by_team, "sumo-within-team": within_team,
     "soccer-1v1": soccer_1v1, "soccer-2v2": soccer_2v2, "galaga-1v1": galaga_1v1, "galaga-2v2": galaga_2v2,
 }  # fmt: skip
 

@@ -39,7 +39,7 @@ class PlayerSettings:
     name: str = field(default="", metadata={"valid": check_name})
     """How it is called; empty: as its team, and team-2, team-3, ... where the team has more of them."""
     role: str = field(default="main", metadata={"valid": check_name})
-    """What kind of player it is."""
+    """What kind of player it is: main, main_exploiter, league_exploiter, fixed (never learns), or one of [[roles]]."""
     group: str = field(default="", metadata={"valid": check_name})
     """Players of one group learn together, at most one of each team; empty: its number within its team, 1, 2, ..."""
     hidden: tuple[int, ...] | None = field(default=None, metadata={"low": 1, "high": 8192})

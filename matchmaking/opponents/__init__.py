@@ -12,6 +12,7 @@ from matchmaking.opponents.rules import (
     by_quality,
     delta_uniform,
     draw,
+    exploit,
     gaussian,
     latest,
     pfsp,
@@ -21,5 +22,5 @@ from matchmaking.opponents.settings import Kind, Opponents, Split
 
 __all__ = [
     "Kind", "Mixture", "Opponents", "Qualities", "Record", "Records", "Split", "Weighting", "alphastar", "by_quality",
-    "delta_uniform", "draw", "gaussian", "latest", "pfsp", "uniform",
+    "delta_uniform", "draw", "exploit", "gaussian", "latest", "pfsp", "uniform",
 ]  # fmt: skip

@@ -1,7 +1,7 @@
 """The rules: probabilities over a list of snapshots, ordered from oldest to newest."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -20,6 +20,9 @@ BEATEN_TOO_SELDOM = 0.3
 
 BEATEN = 0.7
 """AlphaStar: a past main player is forgotten where the learner wins less often than this."""
+
+TOO_STRONG = 0.1
+"""A main player that is beaten no more often than this is too strong for an exploiter to learn from it."""
 
 AHEAD, SELF_PLAY, VERIFICATION = 0.5, 0.35, 0.15
 """AlphaStar: how a main player's games are shared out."""
@@ -150,6 +153,30 @@ def alphastar(
     history = _spread(len(x), chosen, pfsp(x[chosen], "variance")) if chosen.size else pfsp(x, "variance")
     reason = "which is not there" if against_present is None else f"which is beaten in {100 * against_present:.0f} %"
     return Mixture(0.0, past + alone * history, f"{why}; self-play against the past of the opponent, {reason}")
+
+
+def exploit(win_rates: np.ndarray, players: Sequence[str]) -> Mixture:
+    """What a main exploiter of AlphaStar meets (Vinyals et al. 2019, published pseudocode, `MainExploiter`).
+
+    One of the players, each as likely as another: its newest snapshot where that is beaten in more than 10 % of games,
+    for else there is nothing to learn from; then its snapshots by PFSP (variance). There the player itself sits
+    opposite instead of its newest snapshot; here the one that learns elsewhere is as it was frozen last.
+
+    Args:
+        win_rates: (n,) the learner's score against each snapshot in [0, 1]; nan counts as ½.
+        players: (n,) whose snapshot each is.
+    """
+    x = _shares(win_rates)
+    past, why = np.zeros(len(x)), []
+    for player in sorted(set(players)):
+        own = np.flatnonzero([name == player for name in players])
+        if x[own[-1]] > TOO_STRONG:
+            chosen, told = latest(len(own)), "as it was frozen last"
+        else:
+            chosen, told = pfsp(x[own], "variance"), f"its past, for it is beaten in {100 * x[own[-1]]:.0f} %"
+        past += _spread(len(x), own, chosen) / len(set(players))
+        why.append(f"{player} {told}")
+    return Mixture(0.0, past, "; ".join(why))
 
 
 def check_mix(mix: tuple[float, float, float]) -> tuple[float, float, float]:

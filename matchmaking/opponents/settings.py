@@ -8,8 +8,8 @@ from matchmaking.opponents.records import DECAY, SHRINKAGE
 from matchmaking.opponents.rules import AHEAD, SELF_PLAY, VERIFICATION, Weighting, check_mix
 
 Kind = Literal[
-    "latest", "uniform", "delta_uniform", "pfsp", "openai_five", "alphastar", "gaussian", "nash", "alpharank", "fixed",
-    "prioritized",
+    "latest", "uniform", "delta_uniform", "pfsp", "openai_five", "alphastar", "exploit", "gaussian", "nash",
+    "alpharank", "fixed", "prioritized",
 ]  # fmt: skip
 
 PAST: Mapping[str, float] = {"latest": 0.0, "openai_five": 0.2}
@@ -18,7 +18,7 @@ PAST: Mapping[str, float] = {"latest": 0.0, "openai_five": 0.2}
 USED_BY: Mapping[str, tuple[str, ...]] = {
     "delta": ("delta_uniform",), "weighting": ("pfsp",), "rate": ("openai_five",), "mix": ("alphastar",),
     "sigma": ("gaussian",), "alpha": ("alpharank",), "victim": ("fixed",),
-    "decay": ("pfsp", "alphastar"), "shrinkage": ("pfsp", "alphastar", "nash", "alpharank"),
+    "decay": ("pfsp", "alphastar", "exploit"), "shrinkage": ("pfsp", "alphastar", "exploit", "nash", "alpharank"),
 }  # fmt: skip
 """Which rules read a setting. Set for another one it would do nothing, and is refused."""
 
@@ -40,8 +40,9 @@ class Opponents:
     kind: Kind = "latest"
     """Which past snapshots: latest; uniform over the history; delta_uniform (with `delta`, Bansal et al.); pfsp, by win
     rate (with `weighting`, AlphaStar); openai_five, by quality (with `rate`); alphastar, its main players' mix (with
-    `mix`); gaussian, by predicted win probability (with `sigma`, FTW); nash or alpharank (with `alpha`), the mixture of
-    the payoff table (PSRO); fixed, one `victim`. prioritized is an older word for pfsp."""
+    `mix`); exploit, its main exploiters' (the newest, or its past where that is too strong); gaussian, by predicted win
+    probability (with `sigma`, FTW); nash or alpharank (with `alpha`), the mixture of the payoff table (PSRO); fixed,
+    one `victim`. prioritized is an older word for pfsp."""
 
     past: float | None = None
     """Share of the worlds, 0 to 1, that play past snapshots; all others play the opponents' present policies (none: as

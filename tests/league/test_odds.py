@@ -12,6 +12,7 @@ from league.odds import odds, qualities, records
 from league.standing import Standing
 from matchmaking.ladder import Ladder
 from matchmaking.opponents import Opponents, Qualities, gaussian, pfsp
+from matchmaking.roles import Role
 from storage.records import Checkpoint, Meeting
 from storage.store import Store
 from tests.league.leagues import finish, match, player, snapshot
@@ -145,7 +146,7 @@ def test_what_is_explained_is_what_is_drawn():
     rule = Opponents("pfsp", past=0.5, groups=200)
     config = replace(config, training=replace(config.training, worlds=4096, opponents=rule))
     state = standing(games("red@0", 100, 0), games("red@4", 20, 80))
-    told = explained(rule, state, BLUE)
+    told = explained(Role("main", rule), state, BLUE)
     chances = {row["opponent"]: row["probability"] for row in told["teams"][0]["opponents"]}
     assert sum(chances.values()) == pytest.approx(1)
     assert chances["red"] == 0.5 == told["share"]

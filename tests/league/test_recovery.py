@@ -10,6 +10,10 @@ from tests.league.conftest import PUCKS, call, start, wait_for
 
 STEPS = "40000"
 RUN = ("run", *PUCKS, "--deterministic", "--budget.steps", STEPS, "--budget.rate", "20s", "--workers.lease", "60")
+HUNTED = (
+    *RUN, "--players", '[{team = "blue"}, {team = "red"}, {team = "red", name = "hunter", role = "main_exploiter"}]',
+    "--roles", '[{name = "main_exploiter", timeout = 9000}]',
+)  # fmt: skip
 
 
 def iteration(store):
@@ -32,13 +36,15 @@ def results(folder):
 
 
 @pytest.mark.slow  # two minutes of two cores
-def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
+@pytest.mark.parametrize("command", [RUN, HUNTED], ids=["two", "exploiter"])
+def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, command):
+    """Also where a player begins anew every few turns, and groups take turns."""
     undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
     undisturbed.mkdir()
     killed.mkdir()
-    assert call(*RUN, cwd=undisturbed).returncode == 0
+    assert call(*command, cwd=undisturbed).returncode == 0
 
-    first = start(*RUN, cwd=killed)
+    first = start(*command, cwd=killed)
     learner = wait_for(killed, lambda store: of_kind(store, "train"))
     wait_for(killed, lambda store: iteration(store) >= 8 and store.jobs("tiny", "leased", "train"))
     os.kill(learner.pid, signal.SIGKILL)  # the manager starts another one and gives it the turn, to be done again
@@ -47,7 +53,7 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
     first.send_signal(signal.SIGKILL)  # its workers notice and end
     first.wait()
     wait_for(killed, lambda store: not [w for w in store.workers("tiny", 3) if w.kinds != "manager"])
-    second = start(*RUN, cwd=killed)
+    second = start(*command, cwd=killed)
     assert second.wait(timeout=540) == 0, (killed / "out.txt").read_text()
 
     ends, frozen, matches, jobs = results(killed)
@@ -55,6 +61,7 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path):
     assert matches[: len(before[2])] == before[2]  # nothing recorded was lost, changed or written twice
     assert {job.state for job in jobs} == {"done"}
     assert any(job.attempt > 1 and job.failures == 1 for job in jobs)  # the first kill did hit a lease
+    assert command is RUN or sum(name.startswith("hunter@") for name, _ in frozen) > 3
     assert sum(job.kind == "match" for job in jobs) * 2 == len(matches)  # two pairings a batch
 
 

@@ -15,7 +15,6 @@ from matchmaking.opponents import (
     pfsp,
     uniform,
 )
-from matchmaking.roles import MAIN
 
 
 def test_latest_and_uniform():
@@ -242,8 +241,3 @@ def test_impossible_arguments_are_refused():
         delta_uniform(3, 2)
     with pytest.raises(ValueError, match="scores between 0 and 1"):
         pfsp(np.array([0.5, 1.5]))
-
-
-def test_a_main_player_meets_the_present_main_players():
-    assert MAIN.meets == (MAIN.name,)
-    assert MAIN.opponents.share == 0
