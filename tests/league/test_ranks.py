@@ -3,8 +3,10 @@
 import os
 import pickle
 import signal
+import sqlite3
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from league.train import PlayerDiverged, Trainer
 from league.worker import Post, Worker
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
+from storage import arrays
 from storage.errors import Away, Superseded
 from storage.records import League, Player
 from storage.store import Store
@@ -156,10 +159,23 @@ def test_phases_end_and_are_copied_and_critics_of_who_rests_follow_alike_on_all_
     assert at == dict(zip(("blue", "red"), wanted, strict=True))
 
 
+def spoil(store: Store, player: str) -> None:
+    """Make the player's checkpoint one whose weights are finite, and what they give is not."""
+    kept = store.checkpoint(LEAGUE, player)
+    assert kept is not None
+    state = dict(arrays.from_bytes(store.blobs.get(kept.digest)))
+    name = next(name for name in state if name.endswith("weight"))
+    state[name] = np.full_like(state[name], 3e38)
+    bad = store.blobs.put(arrays.to_bytes(state))
+    with closing(sqlite3.connect(store.where)) as db, db:
+        db.execute("UPDATE checkpoints SET digest = ? WHERE digest = ?", (bad, kept.digest))
+        db.execute("UPDATE jobs SET payload = replace(payload, ?, ?)", (kept.digest, bad))  # the next turn's bases
+
+
 def test_what_diverges_is_a_setback_of_its_player_and_the_ranks_end(store):
-    config = replace(CONFIG, learner=replace(CONFIG.learner, entropy=3e38))
-    with Lead(store, config) as lead:
+    with Lead(store) as lead:
         lead.turn()
+        spoil(store, "blue")
         before = ends(store)
         lead.turn()
         assert "trainer" not in lead.worker._heavy
