@@ -10,13 +10,12 @@ interval of a snapshot's gap to its parent holds the truth (simulated leagues on
 """
 
 import argparse
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from record import commit
+from record import commit, tell
 
 import league
 from matchmaking import priors
@@ -170,10 +169,7 @@ def main() -> None:
         told["simulated"][name] = compared([simulated(mean, deviation, n, rng) for _ in range(args.leagues)])
     for n in (4, 16) if args.store else ():
         told["real"][f"{n} games a row"] = compared([thinned(args.store, n, rng) for _ in range(20)])
-    text = json.dumps(told, indent=2)
-    print(text)
-    if args.out:
-        args.out.write_text(text + "\n")
+    tell(told, args.out)
 
 
 if __name__ == "__main__":

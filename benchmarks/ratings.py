@@ -8,7 +8,6 @@ time stands processor time, of all threads: on a machine with other work it tell
 """
 
 import argparse
-import json
 import os
 import resource
 import subprocess
@@ -24,7 +23,7 @@ from league import environment
 environment.prepare()  # as every command does, before NumPy is loaded: one BLAS thread
 
 import numpy as np  # noqa: E402
-from record import commit, machine, spread  # noqa: E402
+from record import commit, machine, spread, tell  # noqa: E402
 
 from matchmaking.payoff import tally  # noqa: E402
 from matchmaking.ratings import ELO, davidson, fit  # noqa: E402
@@ -133,10 +132,7 @@ def main() -> None:
         "fit": [fitted(*size, asked, args.repeats) for size, asked in FITS.items()],
         "league ratings": [queried(*size, asked, args.repeats) for size, asked in QUERIES.items()],
     }
-    text = json.dumps(told, indent=2)
-    print(text)
-    if args.out:
-        args.out.write_text(text + "\n")
+    tell(told, args.out)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """What every benchmark writes beside its figures: machine, versions and commit, and figures as a few numbers."""
 
+import json
 import os
 import platform
 import subprocess
@@ -26,6 +27,14 @@ def commit() -> str:
     """The commit that ran, with + where the tree was changed."""
     head = subprocess.run(["git", "describe", "--always", "--dirty=+"], capture_output=True, text=True, check=False)
     return head.stdout.strip() or "unknown"
+
+
+def tell(figures: dict, out: Path | None) -> None:
+    """Print a benchmark's figures as JSON, and write them where that is asked for."""
+    text = json.dumps(figures, indent=2)
+    print(text)
+    if out:
+        out.write_text(text + "\n")
 
 
 def own_and_further(argv: list[str]) -> tuple[list[str], list[str]]:

@@ -81,28 +81,12 @@ def odds(
             past, why = uniform(n), "every snapshot alike"
         case "delta_uniform":
             past, why = delta_uniform(n, opponents.delta), f"every snapshot alike but the oldest {opponents.delta:.0%}"
-        case "pfsp" | "prioritized":
+        case "pfsp":
             read, told = records(opponents, standing, learner, since).rates(names), WIN_RATE
             past, why = pfsp(read, opponents.weighting), f"by win rate, weighting {opponents.weighting}"
         case "openai_five":
             read, told = qualities(opponents, standing, learner, names, since), "quality"
             past, why = by_quality(read), f"softmax of qualities, learning rate {opponents.rate:g}"
-        case "gaussian":
-            read, told = _predicted(standing, learner, pool), "predicted score"
-            past, why = (
-                gaussian(read, opponents.sigma),
-                f"normal law of the predicted score, σ = {opponents.sigma:.3g}",
-            )
-        case "nash":
-            payoffs = _payoffs(opponents, standing, standing.history(learner.name)[-1:], pool)
-            own = [s for s in standing.snapshots if s.player in _players(standing, learner.team)]
-            past, value = nash(-_payoffs(opponents, standing, own, pool).T)
-            read, told = payoffs[0], "payoff of the newest snapshot"
-            why = f"their Nash mixture against all snapshots of {learner.name}'s team, who score {-value:.3f} at best"
-        case "alpharank":
-            table = _payoffs(opponents, standing, pool, pool)
-            past, read, told = alpharank(table, opponents.alpha).mass, table.mean(1), "mean payoff among them"
-            why = f"their α-rank mass, α = {opponents.alpha:g}"
         case "fixed":
             past, why = np.ones(n) / n, "always the same"
         case "exploit":
@@ -116,7 +100,28 @@ def odds(
             read = known.rates(names)
             mixture = alphastar(read, present, own & ~exploiters, exploiters, opponents.mix)
             return Odds(opponent, names, mixture, read, WIN_RATE)
+        case _:
+            past, read, told, why = _by_ratings(opponents, standing, learner, pool)
     return Odds(opponent, names, Mixture(0.0, past, why), read, told)
+
+
+def _by_ratings(
+    opponents: Opponents, standing: Standing, learner: Player, pool: Sequence[Snapshot]
+) -> tuple[np.ndarray, np.ndarray, str, str]:
+    """The rules that read rating matches: probabilities of the pool, what was read, what that is, and why."""
+    if opponents.kind == "gaussian":
+        read = _predicted(standing, learner, pool)
+        why = f"normal law of the predicted score, σ = {opponents.sigma:.3g}"
+        return gaussian(read, opponents.sigma), read, "predicted score", why
+    if opponents.kind == "nash":
+        own = [s for s in standing.snapshots if s.player in _players(standing, learner.team)]
+        past, value = nash(-_payoffs(opponents, standing, own, pool).T)
+        read = _payoffs(opponents, standing, standing.history(learner.name)[-1:], pool)[0]
+        why = f"their Nash mixture against all snapshots of {learner.name}'s team, who score {-value:.3f} at best"
+        return past, read, "payoff of the newest snapshot", why
+    table = _payoffs(opponents, standing, pool, pool)
+    why = f"their α-rank mass, α = {opponents.alpha:g}"
+    return alpharank(table, opponents.alpha).mass, table.mean(1), "mean payoff among them", why
 
 
 def records(opponents: Opponents, standing: Standing, learner: Player, since: int = -1) -> Records:

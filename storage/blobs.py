@@ -94,6 +94,8 @@ class FolderBlobs:
         """See Blobs."""
         path = self._path(digest)
         try:
+            if not path.exists():
+                self._restore(digest)
             data = _read(path)
         except FileNotFoundError:
             self._require_folder()
@@ -110,6 +112,8 @@ class FolderBlobs:
         """See Blobs."""
         path = self._path(digest)
         try:
+            if not path.exists():
+                self._restore(digest)
             return stat.S_ISREG(path.stat().st_mode)
         except (FileNotFoundError, NotADirectoryError):
             return False
@@ -133,6 +137,8 @@ class FolderBlobs:
         try:
             if entry.whole:
                 os.rename(path, aside)
+            elif aside.stat().st_mtime < before and self._restore(_hash(aside)):
+                return False  # it was a whole blob, and may be named
             if aside.stat().st_mtime < before:
                 aside.unlink()
                 return True
@@ -142,6 +148,22 @@ class FolderBlobs:
             pass
         except OSError as error:
             raise disk_error(f"Cannot remove {path}", error) from error
+        return False
+
+    def _restore(self, digest: str) -> bool:
+        """Put back a whole blob that lies aside, for `remove` was killed meanwhile; whether there was one.
+
+        A `remove` that is still at it finds nothing to delete then.
+        """
+        path = self._path(digest)
+        try:
+            beside = [each for each in path.parent.iterdir() if each.name.startswith(f".{path.name[:8]}.")]
+            for aside in filter(lambda each: _PARTIAL.fullmatch(each.name), beside):
+                if not path.exists() and _hash(aside) == digest:
+                    os.replace(aside, path)
+                    return True
+        except (FileNotFoundError, NotADirectoryError):  # gone meanwhile, or no folder
+            pass
         return False
 
     def _require_folder(self) -> None:
@@ -183,6 +205,10 @@ def _read(path: Path) -> bytes:
         os.close(descriptor)
 
 
+def _hash(path: Path) -> str:
+    return hashlib.sha256(_read(path)).hexdigest()
+
+
 def _touch(path: Path) -> bool:
     """Say that a blob is wanted now, lest it is removed before a row names it; False where it is gone."""
     try:
@@ -203,7 +229,11 @@ def _write_whole(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(partial, path)
+        try:
+            os.replace(partial, path)
+        except FileNotFoundError:  # a reader took it for one that was left aside, and put it in its place
+            if not path.exists():
+                raise
     finally:
         partial.unlink(missing_ok=True)
     # The names must outlive a power cut too: a database row that points here is written next.

@@ -23,8 +23,8 @@ from storage.store import Store
 
 STATES = {"queued": "queued", "leased": "being worked on", "done": "done", "failed": "set aside"}
 PLAYERS = (
-    Column("player", whole=True), "team", "role", "group", "iteration", "steps", Column("trained", whole=True),
-    Column("now", whole=True),
+    Column("player", whole=True), "team", "role", "iteration", "steps", Column("now", whole=True),
+    Column("trained", whole=True), "group",
 )  # fmt: skip
 WORKERS = ("worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("seen s ago", decimals=1))
 

@@ -52,8 +52,7 @@ class Records:
     """A learner's row of the win rates: its record against every opponent that it has met.
 
     An opponent that it has not met inherits the record against its parent, the snapshot from which it goes on, or
-    against that one's parent: it is most like it. `row` is how the row itself is inherited, by a learner that goes on
-    from another.
+    against that one's parent: it is most like it.
     """
 
     decay: float = DECAY
@@ -79,10 +78,6 @@ class Records:
             seen.add(at)
             at = self.parents.get(at)
         return at if at in self.row else None
-
-    def child(self) -> "Records":
-        """The row of a learner that goes on from this one."""
-        return Records(self.decay, self.shrinkage, self.parents, dict(self.row), {})
 
     def rates(self, opponents: Sequence[str]) -> np.ndarray:
         """(n,) Win rates against those opponents."""

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from league.commands import status as module
-from league.commands.status import report, status
+from league.commands.status import facts, report, status
 from league.query import Open
 from storage.records import CurvePoint, Job, Phase
 from tests.league.leagues import filled, finish, match
@@ -35,10 +35,14 @@ def words(opened, **given) -> str:
     return " ".join(report(opened, **given).split())
 
 
+def doing(opened) -> dict[str, str]:
+    return {player["player"]: player["now"] for player in facts(opened).players}
+
+
 def test_a_league_that_nobody_manages_is_stopped(opened):
     text = report(opened)
     assert text.startswith("League cup: stopped\n")
-    assert [line.split()[-1] for line in text.splitlines() if line.startswith((" blue", " red"))] == ["stopped"] * 2
+    assert doing(opened) == {"blue": "stopped", "red": "stopped"}
 
 
 def test_a_league_is_stopped_once_its_managers_process_is_gone_or_its_lease_is_over(opened, dead):
@@ -64,10 +68,7 @@ def test_it_tells_who_learns_since_when_and_what_ends_it(opened):
     assert "group 1: red learns since iteration 1; it ends after 5 iterations, 2 are left" in text
     assert "group 2: blue and red learn since iteration 0; nothing ends it" in text
     assert "group 3: red learns since iteration 1; it ends at step 1,000, 600 are left" in text
-    now = {
-        line.split()[0]: line.split()[-1] for line in report(opened).splitlines() if line.startswith((" blue", " red"))
-    }
-    assert now == {"blue": "rests", "red": "learns"}
+    assert doing(opened) == {"blue": "rests", "red": "learns"}
 
 
 def test_it_tells_which_score_ends_a_turn_and_how_far_that_is(opened):
@@ -106,7 +107,7 @@ def test_paused_players_and_jobs_set_aside_tell_their_reasons(opened):
     assert "1 set aside" in text
     assert "line 3" not in text
     assert "Traceback: line 3" in report(opened, whole_errors=True)
-    assert [line.split()[-1] for line in text.splitlines() if line.startswith(" red")] == ["paused"]
+    assert doing(opened)["red"] == "paused"
 
 
 def test_the_words_of_dead_workers_are_not_repeated(opened, dead):

@@ -107,19 +107,18 @@ def test_games_one_by_one_count_as_a_batch_of_equal_ones():
     assert (one_by_one.score, one_by_one.games) == pytest.approx((together.score, together.games))
 
 
-def test_a_child_inherits_the_row_and_the_column():
+def test_a_snapshot_that_was_never_met_inherits_from_the_nearest_that_was():
     known = Records(parents={"red@2": "red@1", "red@1": "red@0", "red@4": "red@2"})
     known.note("red@1", 90, 0, 10)
     assert known.against("red@4") == known.against("red@1") == known.row["red@1"]
     assert known.against("red@0").rate == 0.5
     assert (known.source("red@4"), known.source("red@0")) == ("red@1", None)
     assert known.games(["red@4", "red@1"]).tolist() == [0, 100]
-    child = known.child()
-    child.note("red@2", 0, 0, 100)
-    before, after = known.rates(["red@4"])[0], child.rates(["red@4"])[0]
+    before = known.rates(["red@4"])[0]
     assert before == known.against("red@1").rate > 0.7
-    assert after < before
-    assert "red@2" not in known.row
+    known.note("red@2", 0, 0, 100)
+    assert known.rates(["red@4"])[0] == known.against("red@2").rate < before
+    assert known.against("red@1").rate == before
 
 
 def mixture(x, present=0.5, own=None, exploiters=(), **more):

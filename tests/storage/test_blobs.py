@@ -47,6 +47,31 @@ def test_a_damaged_blob_is_named_and_a_put_heals_it(tmp_path: Path):
     assert blobs.get(DIGEST) == DATA
 
 
+@pytest.mark.parametrize("ask", ["get", "has"])
+def test_a_blob_that_a_killed_removal_left_aside_is_put_back(tmp_path: Path, ask: str):
+    blobs = open_blobs(tmp_path)
+    blobs.put(DATA)
+    (file,) = files(tmp_path)
+    file.rename(file.with_name(f".{file.name[:8]}.{'0' * 16}"))
+    assert getattr(blobs, ask)(DIGEST) == {"get": DATA, "has": True}[ask]
+    assert files(tmp_path) == [file]
+
+
+def test_a_whole_blob_left_aside_is_not_removed_and_half_of_one_is(tmp_path: Path):
+    blobs = open_blobs(tmp_path)
+    blobs.put(DATA)
+    (file,) = files(tmp_path)
+    file.rename(file.with_name(f".{file.name[:8]}.{'0' * 16}"))
+    (aside,) = blobs.entries()
+    assert not blobs.remove(aside, before=aside.put + 1)
+    assert files(tmp_path) == [file]
+    half = file.with_name(f".{file.name[:8]}.{'1' * 16}")
+    half.write_bytes(DATA[:3])
+    (partial,) = [each for each in blobs.entries() if not each.whole]
+    assert blobs.remove(partial, before=partial.put + 1)
+    assert files(tmp_path) == [file]
+
+
 def test_a_missing_blob_is_named(tmp_path: Path):
     with pytest.raises(DamagedBlob, match=f"{DIGEST} is missing"):
         open_blobs(tmp_path).get(DIGEST)
