@@ -1,5 +1,6 @@
 """MuJoCo XLA: the engine of accelerators, in JAX or in Warp kernels."""
 
+import copy
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -30,7 +31,7 @@ class MjxEngine(Engine):
     ):
         super().__init__(model, derived)
         self.name = impl
-        self._mjx = mjx.put_model(model, impl=impl)
+        self._mjx = mjx.put_model(_boxes(model) if impl == "warp" else model, impl=impl)
         self._buffers: dict[str, int] = {}
         if impl == "warp":
             # One contact pool serves all worlds; overflow is read below and voids the episode: no need to print it.
@@ -77,3 +78,13 @@ class MjxEngine(Engine):
         data = refresh(self._own(physics), physics.carry)
         values = stackable(*(getattr(data, name) for name in self.derived))
         return physics._replace(carry=data, **dict(zip(self.derived, values, strict=True)))
+
+
+def _boxes(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model for Warp, where two boxes meet by a function of their own, as they do in C.
+
+    That is all this flag does there (mujoco_warp's `collision_driver`): without it they meet as any two convex bodies.
+    """
+    model = copy.copy(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    return model

@@ -84,15 +84,11 @@ def _buffers(norm: str, flags: Flags) -> dict[str, Flags]:
 SUCCESS = {"training.shaping-until": "0.9"}  # hints fade by success; else over 50 million steps
 STRONG = {"arena.reward.approach": "1", "arena.reward.push": "4"}  # hints; else 0.5 and 1
 LONG = {"learner.gamma": "0.997"}  # 7 s; else 0.99, 2 s
+EASY = {"arena.rules.ease": "1"}  # all episodes begin on the way to the goal, with a part of it left
+RESTLESS = {"arena.reward.near": "0", "arena.reward.ball": "0"}  # nothing is paid for standing anywhere
+FREE = {"arena.rules.drive-scale": "40", "arena.rules.steer-scale": "0.5"}  # full throttle is 1.25 and not 5 units
+CAREFUL = {"learner.lr": "3e-4", "learner.kl-step": "0.01"}
 SCORE = WALK | {"learner.normalise-observations": "true", "training.worlds": "4096"}
-
-
-def _hints(**more: Flags) -> dict[str, Flags]:
-    steps = {"training.shaping-steps": "50000000"}
-    return {
-        "steps": steps, "success": SUCCESS, "strong": SUCCESS | STRONG, "long": SUCCESS | LONG,
-        "strong-long": SUCCESS | STRONG | LONG, **more,
-    }  # fmt: skip
 
 
 LAYER_NORM = {"learner.architecture.layer-norm": "true"}
@@ -103,16 +99,27 @@ ABLATIONS = {
         WALK, {"score": (0.5, 0.9), "reward": (0.0, 5.0)},
     ),
     "score-anymal": Ablation(
-        "soccer-score", 40_000_000,
-        _hints(
-            brave=SUCCESS | STRONG | LONG | {"arena.reward.fall": "-0.5"},
-            gentle=SUCCESS | STRONG | LONG | {"learner.lr": "3e-4"},
-        ),
+        "soccer-score", 30_000_000,
+        {
+            "steps": {"training.shaping-steps": "50000000"},
+            "strong-long": SUCCESS | STRONG | LONG,
+            "easy": SUCCESS | STRONG | LONG | EASY | RESTLESS,
+            "careful": SUCCESS | STRONG | LONG | EASY | RESTLESS | CAREFUL,
+            "brave": SUCCESS | STRONG | LONG | EASY | RESTLESS | CAREFUL | {"arena.reward.fall": "-0.5"},
+        },
         SCORE | {"after": "anymal-ball"}, {"score": (0.1, 0.7)},
     ),
     "score-leatherback": Ablation(
-        "soccer-score-leatherback", 60_000_000,
-        _hints(restless=SUCCESS | STRONG | LONG | {"arena.reward.near": "0"}), SCORE, {"score": (0.1, 0.7)},
+        "soccer-score-leatherback", 36_000_000,
+        {
+            "steps": {"training.shaping-steps": "50000000"},
+            "strong-long": SUCCESS | STRONG | LONG,
+            "easy": SUCCESS | STRONG | LONG | EASY | RESTLESS,
+            "free": SUCCESS | STRONG | LONG | EASY | RESTLESS | FREE,
+            "careful": SUCCESS | STRONG | LONG | EASY | RESTLESS | FREE | CAREFUL,
+            "far": SUCCESS | STRONG | LONG | RESTLESS | FREE | CAREFUL,
+        },
+        SCORE, {"score": (0.1, 0.7)},
     ),
     "critics": Ablation(
         "sumo-by-team", 40_000_000,

@@ -29,6 +29,7 @@ from arenas.state import Verdict
 PLAYER = "blue/0"
 DROPPED = {"anymal": 0.60, "leatherback": 0.50}  # m, with `defects.dropped`
 CLOSE = 0.8  # m, the scale of the terms `near` and `ball`
+BEHIND = 1.3  # m behind the ball, as seen from the goal, is where a robot begins that has it easiest
 TRIES = 24  # places that are drawn for a ball near the robot; the first is taken that is clear of robot and walls
 
 
@@ -86,11 +87,11 @@ class Drill(Arena):
     # Rules -----------------------------------------------------------------------------------------------------------
 
     def place(self, key: Array) -> tuple[Array, Array, Game]:
-        """Robot and ball clear of each other, anywhere or near each other; the coin that says which goal."""
+        """Robot and ball clear of each other, anywhere, near each other or near the goal; the coin that says which."""
         start, coin = jax.random.split(key)
-        near = None if self.rules.spread is None else self._near
+        near = self.pitch.lattice if self.rules.spread is None else self._near
         side = jnp.where(jax.random.bernoulli(coin), 1.0, -1.0)
-        return *self.pitch.start(start, near), Game(side)
+        return *self.pitch.start(start, lambda key: self._eased(key, side, near(key))), Game(side)
 
     def _near(self, key: Array) -> Array:
         """Places (2, 2) m of the robot, on the lattice, and of the ball, evenly in the square round it that is free.
@@ -108,6 +109,26 @@ class Drill(Arena):
         inside = (x <= self.rules.inside[0] - radius) & (y <= self.rules.inside[1] - radius)
         free = inside & (pitch.length(balls - robot) >= clear) & ~self.pitch.over_goal(balls)
         return jnp.stack([robot, balls[jnp.argmax(free.at[-1].set(True))]])
+
+    def _eased(self, key: Array, side: Array, places: Array) -> Array:
+        """Places (2, 2) m of robot and ball, in a share of the episodes on their way to the goal on this side.
+
+        There the ball has a part of its way before the goal left, and the robot stands as that part of its own place
+        beside the ball and for the rest behind it. Where that is not free, all stay where they were.
+        """
+        rules, (robot, ball) = self.rules, places
+        if not rules.ease:
+            return places
+        easy, part = jax.random.split(jax.random.fold_in(key, 1))
+        left = jax.random.uniform(part)
+        front = jnp.stack([side * (rules.goal_at - rules.goal[0]), jnp.zeros_like(side)])
+        way = ball - front
+        beside = left * (robot - ball) + (1.0 - left) * BEHIND * way / pitch.length(way)
+        eased = front + left * way + jnp.stack([beside, jnp.zeros(2)])
+        clear = jnp.array(self.pitch.clear)
+        inside = (jnp.abs(eased) <= jnp.array(rules.inside) - clear[:, None]).all()
+        free = inside & (pitch.length(beside) >= clear.sum()) & ~self.pitch.over_goal(eased[1:])[0]
+        return jnp.where(jax.random.bernoulli(easy, rules.ease) & free, eased, places)
 
     def randomise(self, key: Array) -> dict[str, Array]:
         """As the settings say."""

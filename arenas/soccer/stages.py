@@ -53,6 +53,9 @@ class DrillRules(PitchRules):
     """Seconds that it may take; then the episode is cut."""
     spread: float | None = field(default=None, metadata={"above": 1.5, "high": 100.0})
     """Metres to either side of the robot, along x and y, within which the ball starts; none: anywhere."""
+    ease: float = field(default=0.0, metadata={"low": 0.0, "high": 1.0})
+    """Share of episodes that begin easier (not in HARL-A): the ball part of its way to the target goal, evenly from all
+    of it to none, and the robot the more behind it."""
     reach: float = field(default=0.8, metadata={"above": 0.0, "high": 10.0})
     """Aim "ball": as near to the ball as this, in metres from base to ball, is to be there; a nose is 0.5 m ahead."""
     stay: bool = False

@@ -187,3 +187,28 @@ def test_what_else_mjx_cannot_is_one_line():
     )
     with pytest.raises(EngineError, match=r"^engine jax cannot run this model: implicitfast .*; engine c can$"):
         make_engine("jax", model)
+
+
+TILTED = """
+<mujoco>
+  <option integrator="implicitfast" cone="pyramidal" iterations="20" ls_iterations="20"/>
+  <worldbody>
+    <body><freejoint/><geom type="box" size=".25 .15 .05" mass="3.4"/></body>
+    <body pos=".3 .1 .12" euler="10 25 40"><freejoint/><geom type="box" size=".25 .15 .05" mass="3.4"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.slow  # Warp compiles for a minute on a CPU
+def test_two_boxes_meet_on_warp_as_they_do_in_c():
+    ends = {}
+    for name in ("c", "warp"):
+        model = mujoco.MjModel.from_xml_string(TILTED)
+        speeds = jnp.zeros(model.nv).at[8].set(-2.0)  # m/s: the upper one falls onto the other's edge
+        engine = make_engine(name, model, contacts=16, rows=64)
+        physics = jax.jit(engine.make)(jnp.asarray(model.qpos0, jnp.float32), speeds)
+        ends[name] = jax.jit(lambda p, engine=engine: engine.step(p, jnp.zeros(0), 40))(physics)
+    hit = float(ends["c"].qvel[2])
+    assert hit < -0.3 + 40 * FALLING  # it was struck, and does not only fall
+    assert jnp.abs(ends["warp"].qpos - ends["c"].qpos).max() < 1e-5  # as any two convex bodies: 0.003
