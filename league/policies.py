@@ -7,8 +7,9 @@ import numpy as np
 
 from agents.policy import Crew, Params, crew, learned
 from agents.rollout import scripts_of
-from arenas.arena import Arena, check_scripts
+from arenas.arena import Arena
 from arenas.errors import ArenaError
+from arenas.game import check_scripts
 from arenas.state import TeamSpec
 from storage import arrays
 from storage.records import Snapshot

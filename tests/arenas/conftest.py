@@ -9,8 +9,8 @@ import pytest
 from jax import Array
 
 import arenas
-from arenas.arena import State
 from arenas.physics import Physics
+from arenas.state import State
 from arenas.sumo.match import Sumo
 
 

@@ -10,9 +10,9 @@ import pytest
 from walker import REST, WALKER, spring
 
 import arenas
-from arenas.arena import check_scripts
 from arenas.check import check_arena
 from arenas.errors import ArenaError
+from arenas.game import check_scripts
 from arenas.options import Solver
 from arenas.props import ball, block, goal, wall
 from arenas.robots.leatherback import leatherback

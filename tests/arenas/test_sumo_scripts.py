@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import arenas
-from arenas.arena import check_scripts
 from arenas.errors import ArenaError
+from arenas.game import check_scripts
 from arenas.sumo import scripts
 
 WORLDS = 64
