@@ -104,14 +104,15 @@ def examine_beginning(where: str, config: Config, arena: "Arena") -> None:
         examine_start(None, config, arena, players)
 
 
-def examine_victim(where: str, config: Config, arena: "Arena") -> None:
-    """Whom players always meet must be there, or come with the league."""
+def examine_victim(where: str, config: Config, arena: "Arena", brought: Sequence[str] = ()) -> None:
+    """Whom players always meet must be there, come with the league or be `brought` into it."""
     from league.policies import script_titles
 
     victims = {(*key, "victim"): rule.victim for key, rule in rules(config, [team.name for team in arena.teams])}
     if not any(victims.values()):
         return
-    known = list(script_titles(arena, scripts(config, arena))) + [f"{p.name}@0" for p in players_of(config, arena)]
+    begun = [f"{p.name}@0" for p in players_of(config, arena)]
+    known = [*brought, *script_titles(arena, scripts(config, arena)), *begun]
     try:
         with Store.open(where, blobs=config.storage.blobs) as store:
             if config.league in {league.name for league in store.leagues()}:

@@ -10,7 +10,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -42,13 +42,14 @@ class PrepareError(Exception):
 # The light half ------------------------------------------------------------------------------------------------------
 
 
-def prepare(where: str, config: Config, debug: bool = False) -> Prepared:
+def prepare(where: str, config: Config, debug: bool = False, brought: Sequence[str] = ()) -> Prepared:
     """Examine a configuration and write what a league begins with, in a process of its own.
 
-    Raises ConfigError, one line, for what cannot be; PrepareError where the process died. Ctrl-C ends both processes at
-    once: nothing is lost, since nothing has been done.
+    `brought` are snapshots that will be brought into the league when all is well. Raises ConfigError, one line, for
+    what cannot be; PrepareError where the process died. Ctrl-C ends both processes at once: nothing is lost, since
+    nothing has been done.
     """
-    request = {"where": where, "config": configuration.dumps(config), "parent": os.getpid()}
+    request = {"where": where, "config": configuration.dumps(config), "parent": os.getpid(), "brought": list(brought)}
     process = subprocess.Popen(
         [sys.executable, "-m", "league.prepare"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         stderr=None if debug else subprocess.PIPE, text=True,
@@ -102,7 +103,7 @@ def _serve(request: Mapping[str, Any]) -> Prepared:
     first = (stages or [config])[0]
     if first.after:
         examine_beginning(request["where"], first, arenas[0])
-    examine_victim(request["where"], first, arenas[0])
+    examine_victim(request["where"], first, arenas[0], request["brought"])
     with Store.open(request["where"], create=True, blobs=config.storage.blobs) as store:
         if stages:  # each is made when it is its turn
             store.create_league(League(config.league, configuration.dumps(config)))

@@ -20,6 +20,9 @@ def pairings(
 ) -> list[tuple[str, str]]:
     """The pairs of snapshots to be rated next, most useful first.
 
+    Ratings compare only whom games connect, by whatever detour. So as long as games played or planned leave several
+    parts that could be joined, only pairs that join two are planned: first parts of several snapshots with the largest.
+
     Again and again the candidate with the fewest episodes is chosen, the newest of those if they tie: everything plays
     something before anything plays much. Its opponent is the first of its `always` list that it has not met for
     `quota` episodes, else the candidate of whom a game tells most about the gap: a game's information is the variance
@@ -46,21 +49,26 @@ def pairings(
     wanted = _wanted(payoff, newest_first, first_of, quota, may_meet)
     if not wanted.any():
         return []
-    knowledge = _Knowledge(ladder)
+    knowledge, parts = _Knowledge(ladder), _parts(payoff)
     effort = payoff.episodes.sum(1).astype(float)
+    required = np.zeros_like(wanted)
+    for i, others in first_of.items():
+        required[i, others] = True
 
-    def opponent(i: int) -> int:
-        required = [j for j in first_of.get(i, ()) if wanted[i, j]]
-        return required[0] if required else knowledge.most_telling(i, [j for j in newest_first if wanted[i, j]])
+    def opponent(i: int, open_: np.ndarray) -> int:
+        first = [j for j in first_of.get(i, ()) if open_[j]]
+        return first[0] if first else knowledge.most_telling(i, [j for j in newest_first if open_[j]])
 
     plan: list[tuple[str, str]] = []
     while len(plan) < per_batch and wanted.any():
+        asked = _joining(wanted, parts, required)
         # The first of the newest among those of least effort; a candidate whose list asks for nobody is left out.
-        i = min((i for i in newest_first if wanted[i].any()), key=effort.__getitem__)
-        j = opponent(i)
+        i = min((i for i in newest_first if asked[i].any()), key=effort.__getitem__)
+        j = opponent(i, asked[i])
         plan.append((payoff.names[i], payoff.names[j]))
         effort[[i, j]] += quota
         wanted[[i, j], [j, i]] = False  # never twice in a batch
+        parts[parts == parts[j]] = parts[i]
         knowledge.expect(i, j, quota)
     return plan
 
@@ -81,6 +89,30 @@ def _wanted(
     wanted &= payoff.episodes < quota
     for i, j in np.argwhere(wanted):
         wanted[i, j] = may_meet(payoff.names[i], payoff.names[j])
+    return wanted
+
+
+def _parts(payoff: Payoff) -> np.ndarray:
+    """(P,) A number for each snapshot, the same for those whom games connect."""
+    parts = np.arange(len(payoff.names))
+    for i, j in np.argwhere(np.triu(payoff.games) > 0):
+        if parts[i] != parts[j]:
+            parts[parts == parts[j]] = parts[i]
+    return parts
+
+
+def _joining(wanted: np.ndarray, parts: np.ndarray, required: np.ndarray) -> np.ndarray:
+    """(P, P) The wanted pairs that join two parts, the most urgent of them; all that are wanted where none does.
+
+    Parts of several go to the largest one first; then single snapshots to it, or to whom they are `required` to meet.
+    """
+    size = np.bincount(parts, minlength=len(parts))[parts]
+    largest = (parts == parts[size.argmax()]) & (size > 1)
+    apart = (size > 1) & ~largest
+    joins = parts[:, None] != parts
+    for urgent in (apart[:, None] & largest, joins & (largest | required), joins):
+        if (found := wanted & urgent).any():
+            return found
     return wanted
 
 

@@ -18,8 +18,9 @@ def test_no_pairing_twice_in_a_batch_nor_against_oneself():
 def test_everything_plays_something_before_anything_plays_much(match):
     names = [f"s{i}" for i in range(9)]
     busy = [match("s0", "s1", home=(30, 0, 30), away=(30, 0, 30))]
-    plan = pairings(Ladder(names, busy), names, quota=10, per_batch=4)
+    plan = pairings(Ladder(names, busy), names, quota=10, per_batch=7)
     assert {name for pair in plan for name in pair} >= set(names[2:])
+    assert [len({"s0", "s1", *(name for pair in plan[:n] for name in pair)}) for n in range(8)] == list(range(2, 10))
 
 
 def test_a_plan_is_carried_out_to_its_end(match, simulate):
@@ -99,3 +100,26 @@ def test_nothing_is_fitted_once_every_pair_has_its_quota(match, monkeypatch):
     assert pairings(Ladder(names, log), names, quota=4, per_batch=9) == []
     apart = pairings(Ladder(names, []), names, quota=4, per_batch=9, may_meet=lambda a, b: False)
     assert apart == []
+
+
+def test_lineages_that_are_frozen_as_quickly_as_they_are_rated_are_connected(match):
+    scripts, players, log = ["pusher", "idle", "dodger"], ["blue@0", "red@0"], []
+    for n in (1, 2, 4, 8):
+        newest = [f"blue@{n}", f"red@{n}"]
+        players += newest
+        own = {name: [f"{name.partition('@')[0]}@0"] for name in newest}
+        names = [*scripts, *players]
+        planned = pairings(Ladder(names, log), names, quota=8, per_batch=3, always=own)
+        assert set(planned) >= {(name, *own[name]) for name in newest}
+        log += [match(a, b, home=(2, 0, 2), away=(2, 0, 2)) for a, b in planned]
+        connected = {"blue@0"}
+        for _ in names:
+            connected |= {name for m in log for name in (m.a, m.b) if connected & {m.a, m.b}}
+        assert connected >= set(players)
+    assert connected == set(names)  # meanwhile the scripts have met somebody too
+
+
+def test_whom_no_game_can_connect_are_paired_all_the_same():
+    names = ["a0", "a1", "b0", "b1"]
+    plan = pairings(Ladder(names, []), names, quota=4, per_batch=9, may_meet=lambda a, b: a[0] == b[0])
+    assert sorted(map(sorted, plan)) == [["a0", "a1"], ["b0", "b1"]]
