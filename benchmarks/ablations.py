@@ -37,8 +37,8 @@ from benchmarks.episodes import bare, rate, score  # noqa: E402
 from benchmarks.record import commit, machine, own_and_further, spread  # noqa: E402
 from league import exchange  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
+from league.create import create  # noqa: E402
 from league.measures import newest_snapshots  # noqa: E402
-from league.prepare import create  # noqa: E402
 from league.standing import Standing  # noqa: E402
 from league.versions import versions  # noqa: E402
 from storage import arrays  # noqa: E402

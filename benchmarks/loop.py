@@ -22,9 +22,10 @@ from agents.rollout import Trajectory, Worlds, make_reset, make_rollout
 from benchmarks.record import spread
 from benchmarks.replay import Pair, clocks
 from league.config.experiment import Config
+from league.create import players_of
+from league.learners import beside
 from league.policies import seat
-from league.prepare import players_of
-from league.train import Trainer, beside
+from league.train import Trainer
 
 Verb = Callable[[Worlds, Array], tuple[Worlds, Trajectory]]  # goes on from worlds by one rollout, with this key
 
@@ -53,7 +54,7 @@ class Ground:
     def learners(self, seed: int = 1, **settings: Any) -> list[Learner]:
         """Fresh learners of all teams, as a league makes them; `settings` are of the learner, where they differ."""
         config = replace(self.config, seed=seed, learner=replace(self.config.learner, **settings))
-        return list(Trainer(config, self.arena, players_of(config, self.arena), self.worlds).learners.values())
+        return list(Trainer(config, self.arena, players_of(config, self.arena), self.worlds).squad.learners.values())
 
 
 class Loop:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from typing import Literal
 
-from league import plan
+from league import matches, plan
 from league.config import experiment as configuration
 from league.config.durations import seconds
 from league.config.experiment import Config
@@ -130,17 +130,17 @@ class Manager:
         if training:
             self._rating_until = math.inf
         elif self._rating_until == math.inf:
-            phase = plan.rating_phase(self.config, standing)
+            phase = matches.rating_phase(self.config, standing)
             self.store.queue((), [phase])
             left = phase.until["seconds"]
             self._rating_until = sys.float_info.max if left is None else time.monotonic() + left
         late = self._late()
-        matches = plan.next_matches(self.config, standing) if self.config.workers.match and not late else plan.Plan()
-        if turns.jobs or matches.jobs:
-            self.store.queue([*turns.jobs, *matches.jobs], turns.phases)
+        wanted = matches.next_matches(self.config, standing) if self.config.workers.match and not late else plan.Plan()
+        if turns.jobs or wanted.jobs:
+            self.store.queue([*turns.jobs, *wanted.jobs], turns.phases)
         if training:
             return "training"
-        return "rating" if not late and (matches.jobs or plan.is_rating(standing)) else "done"
+        return "rating" if not late and (wanted.jobs or matches.is_rating(standing)) else "done"
 
     def _late(self) -> bool:
         """Whether the time for rating after training is over."""

@@ -180,7 +180,7 @@ def _trainer(store: Store, place: Place) -> "Trainer":
     import torch
 
     from agents.parallel import join
-    from league.prepare import worlds as training_worlds
+    from league.examine import worlds as training_worlds
     from league.train import Trainer
 
     cores = max(1, (os.cpu_count() or 1) // place.size)

@@ -200,7 +200,7 @@ class Worker:
             from league.ranks import Ranks
 
             return Ranks(self.config, self.post.store, self.post.number)
-        from league.prepare import worlds as training_worlds
+        from league.examine import worlds as training_worlds
         from league.train import Trainer
 
         worlds = training_worlds(self.config)

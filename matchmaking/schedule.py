@@ -1,15 +1,11 @@
-"""Schedules as values: which team learns when, when a snapshot is due, and which pairs should be rated next."""
+"""Schedules as values: which team learns when, and when a snapshot is due."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
-import numpy as np
-
-from matchmaking.ladder import Ladder
-from matchmaking.payoff import Payoff, Score, score_interval
-from matchmaking.ratings import ELO
+from matchmaking.payoff import Score, score_interval
 from storage.records import Phase
 
 Kind = Literal["simultaneous", "leapfrog", "ladder", "frozen"]
@@ -208,102 +204,3 @@ def next_due(iteration: int, per_doubling: int = 1) -> int:
     while (due := round(2 ** (m / per_doubling))) <= iteration:
         m += 1
     return due
-
-
-def pairings(
-    ladder: Ladder,
-    candidates: Sequence[str],
-    *,
-    quota: int,
-    per_batch: int,
-    always: Mapping[str, Sequence[str]] | None = None,
-    may_meet: Callable[[str, str], bool] = lambda a, b: True,
-) -> list[tuple[str, str]]:
-    """The pairs of snapshots to be rated next, most useful first.
-
-    Again and again the candidate with the fewest episodes is chosen, the newest of those if they tie: everything plays
-    something before anything plays much. Its opponent is the first of its `always` list that it has not met for
-    `quota` episodes, else the candidate of whom a game tells most about the gap: a game's information is the variance
-    of its score, p(1-p), and what it adds to the knowledge of a gap of variance V grows with p(1-p) V (expected
-    information gain, Lindley 1956). That prefers equals over the far, and the unknown over the known.
-    A planned pair counts as `quota` episodes for the rest of the batch, and as the information that they will give.
-    Ties go to the newest, so the same arguments always give the same plan. Void episodes count as played, lest a pair
-    that always fails be planned for ever. Where every pair has its quota, nothing is fitted.
-
-    Args:
-        ladder: what has been played, with a place for all names used here.
-        candidates: snapshots that want a rating, oldest first.
-        quota: episodes after which a pair is played enough.
-        per_batch: at most so many pairs.
-        always: snapshot -> opponents that it shall meet first, e.g. its player's initial snapshot, in order.
-        may_meet: whether two snapshots can play each other at all, e.g. by their rosters; symmetric.
-
-    Returns:
-        pairs (candidate, opponent), no pair twice and no one against itself; empty once every pair has its quota.
-    """
-    payoff = ladder.payoff
-    newest_first = [payoff.index(name) for name in reversed(candidates)]
-    first_of = {payoff.index(a): [payoff.index(b) for b in others] for a, others in (always or {}).items()}
-    wanted = _wanted(payoff, newest_first, first_of, quota, may_meet)
-    if not wanted.any():
-        return []
-    knowledge = _Knowledge(ladder)
-    effort = payoff.episodes.sum(1).astype(float)
-
-    def opponent(i: int) -> int:
-        required = [j for j in first_of.get(i, ()) if wanted[i, j]]
-        return required[0] if required else knowledge.most_telling(i, [j for j in newest_first if wanted[i, j]])
-
-    plan: list[tuple[str, str]] = []
-    while len(plan) < per_batch and wanted.any():
-        # The first of the newest among those of least effort; a candidate whose list asks for nobody is left out.
-        i = min((i for i in newest_first if wanted[i].any()), key=effort.__getitem__)
-        j = opponent(i)
-        plan.append((payoff.names[i], payoff.names[j]))
-        effort[[i, j]] += quota
-        wanted[[i, j], [j, i]] = False  # never twice in a batch
-        knowledge.expect(i, j, quota)
-    return plan
-
-
-def _wanted(
-    payoff: Payoff,
-    candidates: Sequence[int],
-    always: Mapping[int, Sequence[int]],
-    quota: int,
-    may_meet: Callable[[str, str], bool],
-) -> np.ndarray:
-    """(P, P) Whether candidate i asks for j: one it may choose and meet, and has not met for `quota` episodes."""
-    wanted = np.zeros(payoff.episodes.shape, bool)
-    wanted[np.ix_(candidates, candidates)] = True
-    for i in candidates:
-        wanted[i, list(always.get(i, ()))] = True
-    np.fill_diagonal(wanted, False)
-    wanted &= payoff.episodes < quota
-    for i, j in np.argwhere(wanted):
-        wanted[i, j] = may_meet(payoff.names[i], payoff.names[j])
-    return wanted
-
-
-class _Knowledge:
-    """What is known of the gaps between snapshots, and will be once the planned games have been played."""
-
-    def __init__(self, ladder: Ladder):
-        chance = ladder.ratings.expected_scores()
-        self._information = chance * (1 - chance)  # of one game, in (log odds)⁻²
-        self._covariance = ladder.ratings.covariance / ELO**2
-
-    def most_telling(self, i: int, others: Sequence[int]) -> int:
-        """Of whom one game against i tells most; the first of them if they tie."""
-        c = self._covariance
-        gain = self._information[i] * (c[i, i] + np.diag(c) - 2 * c[i])
-        rounded = np.round(gain, 6)  # so that the last bits of the linear algebra do not break ties
-        return max(others, key=rounded.__getitem__)
-
-    def expect(self, i: int, j: int, games: int) -> None:
-        """Count on so many games between i and j, by the Sherman-Morrison formula."""
-        shared = self._covariance[i] - self._covariance[j]
-        expected = games * self._information[i, j]
-        self._covariance = self._covariance - np.outer(shared, shared) * expected / (
-            1 + expected * (shared[i] - shared[j])
-        )

@@ -19,7 +19,8 @@ from league.config.schema import ConfigError
 from league.daemon import DaemonError
 from league.jobs import TrainingTurn
 from league.liveness import leader
-from league.plan import cut_short, spent, trained_enough
+from league.matches import cut_short
+from league.plan import spent, trained_enough
 from league.prepare import prepare
 from league.standing import Standing
 from storage.errors import NotAStore

@@ -1,7 +1,7 @@
 """The whole experiment as one frozen dataclass: league.toml, the command line and the run's record are all this.
 
 `arena` holds the settings that the arena itself defines, so its keys depend on the arena that is named. Reading or
-writing a configuration loads neither torch, jax nor mujoco; what only they know is checked by `league/prepare.py`.
+writing a configuration loads neither torch, jax nor mujoco; what only they know is checked by `league/examine.py`.
 """
 
 from collections import Counter

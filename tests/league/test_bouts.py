@@ -11,7 +11,7 @@ from league.bouts import bout
 from league.commands import gate
 from league.config import presets
 from league.config.experiment import Config
-from league.prepare import create
+from league.create import create
 from league.query import Open
 from league.standing import Standing
 from matchmaking.sprt import Sequential

@@ -21,8 +21,8 @@ from league import cli, exchange
 from league.config import experiment as configuration
 from league.evaluate import Referee
 from league.jobs import RatingMatch
+from league.matches import next_matches
 from league.measures import yardsticks
-from league.plan import next_matches
 from league.policies import freeze
 from league.query import Open
 from league.standing import Standing

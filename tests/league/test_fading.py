@@ -10,7 +10,7 @@ from league import fading
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
 from league.config.sections import Training
-from league.prepare import examine
+from league.examine import examine
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage import arrays

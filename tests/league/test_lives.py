@@ -118,7 +118,7 @@ def test_an_exploiter_is_frozen_and_then_begins_anew_however_often_it_is_killed(
             if turn.group == "2":
                 break
             lost.commit(store, lease, turn)
-        assert lost._frozen  # its second life was over
+        assert lost._ending._frozen  # its second life was over
         store.release(lease)  # killed before anything of it was written
         assert [s.name for s in store.snapshots(LEAGUE, "hunter")] == ["hunter@0", "hunter@2"]
         turns(store, config, arena, 3)

@@ -37,7 +37,7 @@ def arena():
 
 
 def new_store(place, config, arena):
-    from league.prepare import create
+    from league.create import create
 
     store = Store.open(place, create=True)
     store.create_league(League(LEAGUE, ""))

@@ -15,7 +15,7 @@ from league import memory
 from league.compiled import Compiled
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
-from league.prepare import examine
+from league.examine import examine
 from storage.errors import StorageError
 from storage.store import Store
 from tests.league.conftest import ENVIRONMENT

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from league import plan
+from league import matches, plan
 from league.config import experiment as configuration
 from league.config import presets
 from league.jobs import RatingMatch, TrainingTurn, decode
@@ -210,7 +210,7 @@ def test_past_opponents_come_from_every_player_of_the_other_team():
 
 def test_a_new_snapshot_first_meets_its_own_initial_one():
     state = standing(checkpoints=checkpoints(1), snapshots=snapshots(0, 1))
-    pairs = pairs_of(plan.next_matches(training(), state))
+    pairs = pairs_of(matches.next_matches(training(), state))
     assert {("blue@1", "blue@0"), ("red@1", "red@0")} <= set(pairs)
     assert all(a != b for a, b in pairs)
 
@@ -218,7 +218,7 @@ def test_a_new_snapshot_first_meets_its_own_initial_one():
 def test_one_batch_of_matches_at_a_time():
     open_job = Job("quickstart", RatingMatch.kind, "match:0", state="queued")
     state = standing(checkpoints=checkpoints(0), snapshots=snapshots(0), jobs=(open_job,))
-    assert plan.next_matches(training(), state) == plan.Plan()
+    assert matches.next_matches(training(), state) == plan.Plan()
 
 
 def test_when_training_is_over_the_newest_meet_all_yardsticks_until_their_quota():
@@ -230,7 +230,7 @@ def test_when_training_is_over_the_newest_meet_all_yardsticks_until_their_quota(
         assert found == [f"{name}@0", f"{name}@16", "pusher"]
     played: list[Match] = []
     for _ in range(40):
-        pairs = pairs_of(plan.next_matches(config, _with(state, played)))
+        pairs = pairs_of(matches.next_matches(config, _with(state, played)))
         if not pairs or not all(a in ("blue@64", "red@64") for a, _ in pairs):
             break
         played += [match(a, b) for a, b in pairs]
@@ -244,19 +244,19 @@ def test_when_training_is_over_the_newest_meet_all_yardsticks_until_their_quota(
 def test_rating_was_cut_short_while_a_newest_snapshot_lacks_its_quota_against_a_yardstick_or_alone():
     config, newest = training(), ("blue@16", "red@16")
     state = standing(snapshots=snapshots(0, 16))
-    assert plan.cut_short(config, state)
+    assert matches.cut_short(config, state)
     met = [match(a, b) for a in newest for b in (a.replace("16", "0"), "pusher")]
-    assert plan.cut_short(config, _with(state, met[:-1]))
-    assert not plan.cut_short(config, _with(state, met))
+    assert matches.cut_short(config, _with(state, met[:-1]))
+    assert not matches.cut_short(config, _with(state, met))
     alone = standing(players=PLAYERS[:1], snapshots=snapshots(0, 16, players=PLAYERS[:1]))
-    assert plan.cut_short(config, alone)
-    assert plan.cut_short(config, _with(alone, [match("blue@16", None, config.rating.quota - 2)]))
-    assert not plan.cut_short(config, _with(alone, [match("blue@16", None, config.rating.quota)]))
+    assert matches.cut_short(config, alone)
+    assert matches.cut_short(config, _with(alone, [match("blue@16", None, config.rating.quota - 2)]))
+    assert not matches.cut_short(config, _with(alone, [match("blue@16", None, config.rating.quota)]))
 
 
-def _with(state: Standing, matches) -> Standing:
+def _with(state: Standing, played) -> Standing:
     names = [s.name for s in state.snapshots]
-    return replace(state, ladder=Ladder(names, tuple(matches), [s.name for s in state.snapshots if s.initial]))
+    return replace(state, ladder=Ladder(names, tuple(played), [s.name for s in state.snapshots if s.initial]))
 
 
 def test_with_unlike_rosters_only_opponents_can_meet_and_initial_is_the_other_side():
@@ -265,33 +265,33 @@ def test_with_unlike_rosters_only_opponents_can_meet_and_initial_is_the_other_si
     state = standing(players=players, checkpoints=checkpoints(1), snapshots=frozen)
     newest = next(s for s in frozen if s.name == "blue@1")
     assert [s.name for s in initial_opponents(newest, frozen, players)] == ["red@0"]
-    for a, b in pairs_of(plan.next_matches(training(), state)):
+    for a, b in pairs_of(matches.next_matches(training(), state)):
         assert {a.partition("@")[0], b.partition("@")[0]} == {"blue", "red"}
 
 
-@pytest.mark.parametrize("matches", [1, 3])
-def test_each_match_worker_gets_a_batch_of_its_own(matches):
+@pytest.mark.parametrize("workers", [1, 3])
+def test_each_match_worker_gets_a_batch_of_its_own(workers):
     config = training()
-    config = replace(config, workers=replace(config.workers, match=matches))
+    config = replace(config, workers=replace(config.workers, match=workers))
     state = standing(checkpoints=checkpoints(64), snapshots=snapshots(0, 1, 2, 4, 8, 16, 32, 64))
-    jobs = plan.next_matches(config, state).jobs
-    assert len({job.key for job in jobs}) == matches
+    jobs = matches.next_matches(config, state).jobs
+    assert len({job.key for job in jobs}) == workers
     pairs = [tuple(sorted(pair)) for job in jobs for pair in decode(job).pairs]
-    assert len(set(pairs)) == len(pairs) == matches * config.rating.pairings
+    assert len(set(pairs)) == len(pairs) == workers * config.rating.pairings
 
 
 def test_the_pairs_of_a_batch_set_aside_are_tried_alone_and_what_fails_alone_is_left_out():
     config = training()
     state = standing(checkpoints=checkpoints(4), snapshots=snapshots(0, 1, 2, 4))
-    (batch,) = plan.next_matches(config, state).jobs
+    (batch,) = matches.next_matches(config, state).jobs
     pairs = decode(batch).pairs
     state = replace(state, jobs=(replace(batch, state="failed"),))
-    alone = plan.next_matches(config, state).jobs
+    alone = matches.next_matches(config, state).jobs
     assert [decode(job).pairs for job in alone] == [(pair,) for pair in pairs]
     bad, *good = alone
     played = [match(*decode(job).pairs[0]) for job in good]
     after = replace(_with(state, played), jobs=(*state.jobs, replace(bad, state="failed")))
-    again = pairs_of(plan.next_matches(config, after))
+    again = pairs_of(matches.next_matches(config, after))
     assert again
     assert decode(bad).pairs[0] not in again
 
@@ -299,23 +299,23 @@ def test_the_pairs_of_a_batch_set_aside_are_tried_alone_and_what_fails_alone_is_
 def test_the_key_of_a_batch_follows_what_was_played_and_not_how_many_rows_there_are():
     config = training()
     state = standing(checkpoints=checkpoints(1), snapshots=snapshots(0, 1))
-    (first,) = plan.next_matches(config, state).jobs
-    assert plan.next_matches(config, replace(state, jobs=(replace(first, state="done"),))).jobs[0].key == first.key
+    (first,) = matches.next_matches(config, state).jobs
+    assert matches.next_matches(config, replace(state, jobs=(replace(first, state="done"),))).jobs[0].key == first.key
     later = _with(state, [match(a, b) for a, b in decode(first).pairs])
-    assert plan.next_matches(config, later).jobs[0].key != first.key
+    assert matches.next_matches(config, later).jobs[0].key != first.key
 
 
 def test_time_to_rate_goes_on_where_a_restart_left_it_and_begins_anew_after_more_training():
     config = replace(training(), budget=configuration.Budget(train="5m", rate="180s"))
     state = standing(checkpoints=checkpoints(64))
-    phase = plan.rating_phase(config, state)
+    phase = matches.rating_phase(config, state)
     assert phase.until["seconds"] == 180.0
-    kept = {plan.RATING: replace(phase, created=1000.0)}
+    kept = {matches.RATING: replace(phase, created=1000.0)}
     played = [replace(match("blue@64", "blue@0"), created=1100.0)]
     state = standing(matches=played, checkpoints=checkpoints(64), snapshots=snapshots(0, 64), phases=kept)
-    after = plan.rating_phase(config, state)
+    after = matches.rating_phase(config, state)
     assert (after.number, after.until["seconds"]) == (1, 80.0)
-    assert plan.rating_phase(config, replace(state, checkpoints=checkpoints(65))).until["seconds"] == 180.0
+    assert matches.rating_phase(config, replace(state, checkpoints=checkpoints(65))).until["seconds"] == 180.0
 
 
 def test_phases_and_jobs_survive_the_stores_json():
@@ -347,7 +347,7 @@ def under_way(seconds: float, last: Batches | None = None, **given) -> Standing:
 
 
 def dues(config, state) -> list[float | None]:
-    return [decode(job).due for job in plan.next_matches(config, state).jobs]
+    return [decode(job).due for job in matches.next_matches(config, state).jobs]
 
 
 def test_matches_wait_until_training_has_paid_for_the_last_ones():
@@ -389,7 +389,7 @@ def test_before_anybody_has_learnt_there_is_no_progress_to_be_told():
 def test_each_match_worker_pays():
     config = sharing()
     config = replace(config, workers=replace(config.workers, match=3))
-    jobs = plan.next_matches(config, under_way(50.0, Batches(40.0, 1.0))).jobs
+    jobs = matches.next_matches(config, under_way(50.0, Batches(40.0, 1.0))).jobs
     assert [decode(job).due for job in jobs] == [50.0] * 3
     assert dues(config, under_way(79.0, Batches(50.0, 3 * 1.0))) == []
     assert dues(config, under_way(80.0, Batches(50.0, 3 * 1.0))) == [80.0] * 3
@@ -425,15 +425,15 @@ def test_another_way_of_counting_training_stops_no_matches():
 
 def test_pairs_of_a_batch_set_aside_pay_as_well():
     state = under_way(200.0, Batches(190.0, 0.5))
-    (batch,) = plan.next_matches(sharing(), state).jobs
+    (batch,) = matches.next_matches(sharing(), state).jobs
     failed = replace(state, jobs=(replace(batch, state="failed"),))
     assert dues(sharing(), failed) == [195.0] * 4
     assert dues(sharing(), replace(failed, batches=Batches(195.0, 4.0))) == []
 
 
 def test_what_a_batch_is_booked_to_does_not_make_it_another():
-    (early,) = plan.next_matches(sharing(), under_way(50.0)).jobs
-    (late,) = plan.next_matches(sharing(), under_way(200.0)).jobs
+    (early,) = matches.next_matches(sharing(), under_way(50.0)).jobs
+    (late,) = matches.next_matches(sharing(), under_way(200.0)).jobs
     assert (early.key, decode(early).seed) == (late.key, decode(late).seed)
 
 
@@ -444,16 +444,16 @@ def test_trials_that_may_end_a_stage_come_first_and_no_others_hold_them_up():
     deciding = replace(config, budget=configuration.Budget(success=0.9))
     tried = _with(alone, [match("blue@64", None, config.rating.quota)])
     for each in (config, deciding):
-        assert pairs_of(plan.next_matches(each, alone)) == [(f"blue@{i}", None) for i in (64, 32, 16, 8)]
-    assert pairs_of(plan.next_matches(config, tried)) == [(f"blue@{i}", None) for i in (32, 16, 8, 4)]
-    assert pairs_of(plan.next_matches(deciding, tried)) == []
+        assert pairs_of(matches.next_matches(each, alone)) == [(f"blue@{i}", None) for i in (64, 32, 16, 8)]
+    assert pairs_of(matches.next_matches(config, tried)) == [(f"blue@{i}", None) for i in (32, 16, 8, 4)]
+    assert pairs_of(matches.next_matches(deciding, tried)) == []
     over = replace(tried, checkpoints=checkpoints(64, 300.0, PLAYERS[:1]))
     over_config = replace(deciding, budget=configuration.Budget(success=0.9, train="5m"))
-    assert ("blue@32", None) in pairs_of(plan.next_matches(over_config, over))
+    assert ("blue@32", None) in pairs_of(matches.next_matches(over_config, over))
 
 
 def test_a_job_that_an_older_version_queued_is_still_understood():
-    job = plan.next_matches(sharing(), under_way(50.0)).jobs[0]
+    job = matches.next_matches(sharing(), under_way(50.0)).jobs[0]
     old = replace(job, payload={name: value for name, value in job.payload.items() if name != "due"})
     assert decode(old) == replace(decode(job), due=None)
     for odd in ({"pairs": [["a", "b"]]}, {**job.payload, "more": 1}):

@@ -12,7 +12,9 @@ from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
-from league.prepare import create, examine, prepare, roster, worlds
+from league.create import create
+from league.examine import examine, roster, worlds
+from league.prepare import prepare
 from storage.store import Store
 from tests.league.conftest import ROOT
 
@@ -201,7 +203,7 @@ def test_configuration_and_manager_load_nothing_heavy():
 
 
 def test_a_victim_must_be_there_or_come_with_the_league(tmp_path):
-    from league.prepare import _examine_victim
+    from league.create import examine_victim
 
     arena = configuration.default("matching-pennies").arena.build()
 
@@ -211,7 +213,7 @@ def test_a_victim_must_be_there_or_come_with_the_league(tmp_path):
 
     place = str(tmp_path / "new")
     for victim in ("heads:blue", "random:red", "red@0"):
-        _examine_victim(place, always(victim), arena)
+        examine_victim(place, always(victim), arena)
     with pytest.raises(ConfigError, match=r'victim = "heads": .* there are: heads:blue') as caught:
         prepare(place, always("heads"))
     assert caught.value.key == ("training", "opponents", "victim")

@@ -96,7 +96,7 @@ def test_killed_after_every_turn_a_league_ends_with_the_same_bytes(schedule, sto
             turns(other, config, arena, 1)
         assert ends(other) == ends(store)
     state = arrays.from_bytes(store.blobs.get(store.checkpoint(LEAGUE, "blue").digest))
-    fresh = Trainer(config, arena, store.players(LEAGUE), 12).learners["blue"].state()
+    fresh = Trainer(config, arena, store.players(LEAGUE), 12).squad.learners["blue"].state()
     for network in ("actor.0", "critic"):
         for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
             assert (state[f"{network}.gru.{name}"] != fresh[f"{network}.gru.{name}"]).any(), name
@@ -146,7 +146,7 @@ def test_a_critic_that_did_not_learn_has_forgotten(store, arena, monkeypatch):
     config = settings(Schedule("leapfrog", period=2), deterministic=False, budget=configuration.Budget())
     config = replace(config, training=replace(config.training, resting_critics=False))
     trainer = turns(store, config, arena, 7)
-    blue, red = (seen.by_learner[trainer.learners[name]] for name in ("blue", "red"))
+    blue, red = (seen.by_learner[trainer.squad.learners[name]] for name in ("blue", "red"))
     for batches in (blue, red):
         assert [len(batch.recalled) for batch, _ in batches] == [0, 1, 0, 1]
         assert not batches[2][0].first[0][0].all()  # though its worlds went on

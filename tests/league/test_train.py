@@ -80,8 +80,8 @@ def ends(store):
 @pytest.mark.parametrize("kind", ["simultaneous", "leapfrog"])  # in leapfrog the critic of who rests learns beside
 def test_that_players_learn_at_the_same_time_changes_no_byte(store, arena, tmp_path, monkeypatch, kind):
     config = settings(Schedule(kind, period=1), device="cpu")
-    assert turns(store, config, arena, 2)._each is not map
-    monkeypatch.setattr("league.train.beside", lambda learners: map)
+    assert turns(store, config, arena, 2).squad.each is not map
+    monkeypatch.setattr("league.squad.beside", lambda learners: map)
     with new_store(tmp_path / "other", arena) as other:
         turns(other, config, arena, 2)
         assert ends(other) == ends(store)
@@ -119,7 +119,7 @@ def test_variants_of_the_learner_go_on_in_another_process(store, arena):
     config = replace(config, learner=learner)
     turns(store, config, arena, 2)
     trainer = turns(store, config, arena, 1)  # which knows of the first two what the store says
-    assert trainer.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (40,)
+    assert trainer.squad.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (40,)
     kept, points = store.checkpoint(LEAGUE, "blue"), store.curves(LEAGUE, "blue")
     state = arrays.from_bytes(store.blobs.get(kept.digest))
     assert kept.iteration == len(points) == 2
@@ -136,7 +136,7 @@ def test_critics_that_see_more_go_on_in_another_process_to_the_same_bytes(store,
     config = replace(config, learner=replace(config.learner, critic_input=sees, chunk=4, architecture=architecture))
     turns(store, config, arena, 2)
     trainer = turns(store, config, arena, 2)  # as after a kill
-    assert trainer.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (size,)
+    assert trainer.squad.learners["blue"].critic_learners[0].network.trunk.observation_mean.shape == (size,)
     assert all(-1e3 < p.values["value_loss"] < 1e3 for p in store.curves(LEAGUE))
     with new_store(tmp_path / "other", arena) as other:
         turns(other, config, arena, 4)
@@ -327,7 +327,8 @@ def test_players_of_other_network_widths_learn_and_meet_in_one_batch(store, aren
     trainer = turns(store, config, arena, 8)
     assert {name: i for name, (i, _) in ends(store).items()} == dict.fromkeys(ends(store), 4)
     widths = {
-        name: learner.state()["actor.0.trunk.hidden.0.weight"].shape[0] for name, learner in trainer.learners.items()
+        name: learner.state()["actor.0.trunk.hidden.0.weight"].shape[0]
+        for name, learner in trainer.squad.learners.items()
     }
     assert widths == {"blue": 64, "red": 64, "blue-wide": 32, "red-wide": 32}
     first = {s.player: s.digest for s in store.snapshots(LEAGUE) if s.initial}
@@ -338,7 +339,7 @@ def test_a_nan_in_an_actor_is_noticed_at_once_and_nothing_is_written(store, aren
     config = settings()
     trainer = turns(store, config, arena, 3)
     before = ends(store)
-    actor = trainer.learners["red"].actors[0]
+    actor = trainer.squad.learners["red"].actors[0]
     actor.mean.bias.data[:] = float("nan")
     lease, turn = claim(store, config)
     with pytest.raises(PlayerDiverged, match="red diverged"):

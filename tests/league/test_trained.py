@@ -6,9 +6,9 @@ import pytest
 
 from league import exchange
 from league.config import experiment as configuration
+from league.create import create
 from league.evaluate import Referee
 from league.jobs import RatingMatch
-from league.prepare import create
 from storage.store import Store
 
 MET = {

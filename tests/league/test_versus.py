@@ -7,7 +7,7 @@ import pytest
 from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
-from league.prepare import _examine_groups, roster
+from league.examine import _examine_groups, roster
 from storage.store import Store
 from tests.league.conftest import call
 
