@@ -6,7 +6,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from storage import tables as t
-from storage.records import COUNTS, ArenaKey, CurvePoint, Match, Meeting, Totals
+from storage.records import COUNTS, ArenaKey, CurvePoint, Match, Meeting, Pace, Totals
 from storage.verbs import Verbs
 
 
@@ -22,6 +22,11 @@ class Log(Verbs):
         wanted = (purpose,) if isinstance(purpose, str) else purpose
         chosen = [c.purpose.in_(wanted)] if wanted is not None else []
         return self._db.records(Match, t.matches, c.league == league, c.id > after, *chosen, order=[c.id])
+
+    def last_match(self, league: str) -> int:
+        """The number of the newest match of the log, and so how many there are; 0 before the first."""
+        found = self._db.rows(sa.select(t.leagues.c.matches).where(t.leagues.c.name == league))
+        return found[0][0] if found else 0
 
     def totals(self, league: str, purpose: str | Sequence[str], until: float | None = None) -> dict[ArenaKey, Totals]:
         """The match log played for some purpose, summed under each ArenaKey, that of the newest match first.
@@ -50,6 +55,15 @@ class Log(Verbs):
         query = sa.select(sa.func.sum(c.seconds), sa.func.min(c.due)).where(c.league == league, c.due.is_not(None))
         seconds, first = self._db.rows(query)[0]
         return seconds or 0.0, first or 0.0
+
+    def pace(self, league: str, purpose: Sequence[str], until: int) -> Pace:
+        """What the matches up to a number, played for these purposes, say of when rating matches were played."""
+        c = t.matches.c
+        known = (c.league == league, c.id <= until, c.purpose.in_(purpose))
+        played = sa.select(sa.func.max(c.created)).where(*known, c.purpose == "rating")
+        due = sa.select(c.due).where(*known, c.due.is_not(None)).order_by(c.id.desc()).limit(1).scalar_subquery()
+        booked = sa.select(sa.func.max(c.due), sa.func.sum(c.seconds)).where(*known, c.due == due)
+        return Pace(self._db.rows(played)[0][0] or 0.0, *self._db.rows(booked)[0])
 
     def curves(self, league: str, player: str | None = None, after: int = 0) -> list[CurvePoint]:
         """What learning was like after an iteration, for all players or one, by (player, iteration)."""

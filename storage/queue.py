@@ -45,11 +45,21 @@ class Queue(Verbs):
             rows.add_matches(db, done.league, matches)
             return True
 
-    def jobs(self, league: str, state: JobState | None = None, kind: str | None = None) -> list[Job]:
-        """The league's jobs, or those in one state or of one kind, oldest first."""
+    def jobs(
+        self, league: str, state: JobState | Sequence[JobState] | None = None, kind: str | None = None
+    ) -> list[Job]:
+        """The league's jobs, or those in some states or of one kind, oldest first."""
         c = t.jobs.c
-        chosen = [column == value for column, value in ((c.state, state), (c.kind, kind)) if value is not None]
+        states = (state,) if isinstance(state, str) else state
+        chosen = [] if states is None else [c.state.in_(states)]
+        chosen += [] if kind is None else [c.kind == kind]
         return self._db.records(Job, t.jobs, c.league == league, *chosen, order=[c.id])
+
+    def job_counts(self, league: str) -> dict[JobState, int]:
+        """How many jobs the league has in each state, of those states that any is in."""
+        c = t.jobs.c
+        query = sa.select(c.state, sa.func.count()).where(c.league == league).group_by(c.state)
+        return {state: number for state, number in self._db.rows(query)}
 
     def claim(
         self,

@@ -27,7 +27,7 @@ from storage.store import Store
         (" postgresql://host/db", "is possible"),
         ("http:league", r"looks like a URL.*a folder with such a name as ./name"),
         ("postgresql://host:port/db", "looks like a URL"),
-        ("postgresql://host/db", f"say where its blobs are kept.*--blobs FOLDER, or {BLOBS}"),
+        ("postgresql://host/db", f"say where its blobs are kept.*--blobs PLACE, or {BLOBS}"),
     ],
 )
 def test_what_looks_like_a_url_is_one_or_an_error(
@@ -113,7 +113,7 @@ def test_blobs_are_where_was_said_else_where_the_environment_says_else_beside_th
 def test_a_server_takes_its_blobs_from_the_environment(
     server_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    with pytest.raises(StorageError, match=f"--blobs FOLDER, or {BLOBS}"):
+    with pytest.raises(StorageError, match=f"--blobs PLACE, or {BLOBS}"):
         Store.open(server_url, create=True)
     monkeypatch.setenv(BLOBS, str(tmp_path))
     with Store.open(server_url, create=True) as store:
