@@ -40,7 +40,8 @@ class Leading(Verbs):
     def revision(self, league: str) -> int:
         """A number that is raised by whatever changes what there is to plan; raises UnknownName.
 
-        That is: players, snapshots, checkpoints, phases, matches and jobs. Beats and renewals leave it as it is.
+        That is: players, snapshots, checkpoints, phases, matches and jobs. Beats, claims and renewals leave it as it
+        is: a job that is worked on is planned with as one that waits.
         """
         if found := self._db.rows(sa.select(t.leagues.c.revision).where(t.leagues.c.name == league)):
             return found[0][0]
@@ -90,7 +91,7 @@ class Leading(Verbs):
         Raises StorageError when the status is not JSON, which has no NaN.
         """
         row = {"id": id, "league": league, "kinds": kinds, "pid": pid, "host": host, "status": dict(status)}
-        with self._db.writing() as db:
+        with self._db.writing(lasting=False) as db:
             again = {"league": league, "kinds": kinds, "status": dict(status), "seen": t.now()}
             beat = rows.insert_or(db, t.workers).values(row)
             db.execute(beat.on_conflict_do_update(index_elements=["id"], set_=again))

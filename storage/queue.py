@@ -76,14 +76,19 @@ class Queue(Verbs):
         job that failed is passed over until its `not_before`. A job whose lease has expired can be claimed again; after
         `max_attempts` such expiries it becomes failed instead.
         """
-        if not self._db.rows(leases.waiting(league, kinds, max_attempts)):
+        asked = tuple(kinds)
+        some, hopeless = leases.look(self._db, league, asked, max_attempts)
+        if hopeless:
+            with self._db.changing([league]) as db:
+                leases.give_up(db, league, asked, max_attempts)
+        if not some:
             return None
-        with self._db.changing([league]) as db:
-            return leases.claim(db, league, kinds, holder, seconds, prefer, max_attempts)
+        with self._db.writing(lasting=False) as db:
+            return leases.claim(db, league, asked, holder, seconds, tuple(prefer), max_attempts)
 
     def renew(self, lease: Lease, seconds: float) -> bool:
         """Hold the job for `seconds` from now; False when it is no longer ours."""
-        with self._db.writing() as db:
+        with self._db.writing(lasting=False) as db:
             return leases.renew(db, lease, seconds)
 
     def finish(

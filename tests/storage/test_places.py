@@ -1,6 +1,5 @@
 """What is a folder and what is a URL; where blobs go; that no password is ever told."""
 
-import re
 from pathlib import Path
 
 import pytest
@@ -85,10 +84,12 @@ def test_a_password_is_never_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_password_reaches_the_server_and_nothing_else(server_url: str, tmp_path: Path):
-    url = sa.make_url(server_url).update_query_dict({"password": "hush", "application_name": "hush-not"})
+    given = sa.make_url(server_url)
+    word = str(given.password or "hush")  # a server that trusts everybody takes any
+    url = given.set(password=None).update_query_dict({"password": word, "application_name": "not-a-secret"})
     with Store.open(url.render_as_string(hide_password=False), create=True, blobs=str(tmp_path)) as store:
-        assert "hush" not in re.sub("hush-not", "", store.where)
-        assert "application_name=hush-not" in store.where
+        assert word not in store.where
+        assert "application_name=not-a-secret" in store.where
         assert store.leagues() == []
     assert database_url("postgresql://me@host/db?password=hush").password == "hush"
     assert shown(database_url("postgresql://me@host/db?password=hush")) == "postgresql://me:***@host/db"
