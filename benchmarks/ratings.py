@@ -18,13 +18,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from league import environment
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # this folder has an arenas.py too
+
+from league import environment  # noqa: E402
 
 environment.prepare()  # as every command does, before NumPy is loaded: one BLAS thread
 
 import numpy as np  # noqa: E402
-from record import commit, machine, spread, tell  # noqa: E402
 
+from benchmarks.record import commit, machine, spread, tell  # noqa: E402
 from matchmaking.payoff import tally  # noqa: E402
 from matchmaking.ratings import ELO, davidson, fit  # noqa: E402
 from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot  # noqa: E402
@@ -41,14 +43,16 @@ def name(policy: int) -> str:
     return f"{('blue', 'red')[policy % 2]}@{policy // 2}"
 
 
-def simulate(policies: int, games: int, rng: np.random.Generator) -> tuple[list[Match], dict[str, float]]:
+def simulate(
+    policies: int, games: int, rng: np.random.Generator, batch: int = BATCH
+) -> tuple[list[Match], dict[str, float]]:
     """The rows of a log, and how strong everybody is in log odds."""
     theta = rng.normal(0, 1.5, policies)
     matches = []
-    for row in range(games // BATCH):
+    for row in range(games // batch):
         a, b = rng.choice(policies, 2, replace=False)
         told = [davidson(np.array(sign * (theta[a] - theta[b]) + 0.2), np.log(0.5)) for sign in (1, -1)]
-        first, second = (rng.choice([2, 1, 0], BATCH // 2, p=np.exp(o.log_likelihood)) for o in told)
+        first, second = (rng.choice([2, 1, 0], batch // 2, p=np.exp(o.log_likelihood)) for o in told)
         home, away = np.bincount(first, minlength=3), np.bincount(2 - second, minlength=3)
         losses, draws, wins = (int(n) for n in home + away)
         pairs = PairCounts(*(int(n) for n in np.bincount(first + 2 - second, minlength=5)))

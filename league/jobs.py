@@ -67,6 +67,21 @@ def decode(job: Job) -> Task:
         raise StorageError(f"job {job.key} is of no kind that this version knows ({', '.join(KINDS)})") from None
 
 
+def references(job: Job) -> list[tuple[str, str]]:
+    """The rows that a job cannot do without: the table and the name of each; none for a kind of another program.
+
+    Raises StorageError for a payload of another version.
+    """
+    if job.kind not in KINDS:
+        return []
+    task = decode(job)
+    if isinstance(task, RatingMatch):
+        return [("snapshots", name) for pair in task.pairs for name in pair if name is not None]
+    players = (*task.learners, *task.present, *task.bases)
+    past = (name for lineups in task.past.values() for seats in lineups for name in seats)
+    return [*(("players", name) for name in players if name), *(("snapshots", name) for name in past if name)]
+
+
 def _frozen(value: Any) -> Any:
     """JSON's lists as tuples, all the way down."""
     if isinstance(value, list | tuple):

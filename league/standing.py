@@ -58,21 +58,17 @@ class Standing:
         revision = store.revision(league)
         if before is not None and before.revision == revision and arena in (None, before.arena):
             return before
-        jobs = [job for state in ("queued", "leased", "failed") for job in store.jobs(league, state)]
-        players, snapshots = store.players(league), store.snapshots(league)
         before = before or cls()
-        new = store.matches(league, RATED, after=before.read)
-        arena, ladder = _ladder(store, league, before, arena, Pool.of(snapshots, players), new)
-        read = new[-1].id if new else before.read
-        played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
+        jobs, players = store.jobs(league, ("queued", "leased", "failed")), store.players(league)
+        known = store.snapshot_count(league) == len(before.snapshots)
+        snapshots = before.snapshots if known else store.snapshots(league)
+        log = _Log.of(store, league, before, arena, Pool.of(snapshots, players))
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
         met = before.meetings[-1].id if before.meetings else 0
         return cls(
-            players, snapshots, checkpoints, phases,
-            sorted(jobs, key=lambda job: job.id), arena, ladder, read, played,
+            players, snapshots, checkpoints, phases, jobs, *log[:4],
             [*before.meetings, *store.meetings(league, met)],
-            _batches(before.batches, new), _rewards(store, checkpoints, recent),
-            turn_scores(store, phases), revision,
+            log.batches, _rewards(store, checkpoints, recent), turn_scores(store, phases), revision,
         )  # fmt: skip
 
     def history(self, player: str) -> list[Snapshot]:
@@ -149,13 +145,30 @@ def _batches(last: Batches | None, new: Sequence[Match]) -> Batches | None:
     return last
 
 
-def _ladder(
-    store: Store, league: str, before: Standing, arena: ArenaKey | None, pool: Pool, new: Sequence[Match],
-) -> tuple[ArenaKey | None, Ladder]:  # fmt: skip
-    """The key and its ladder, with the matches that are `new` since before."""
-    key = arena or (new[-1].arena if new else before.arena)
-    log, known = new, before.ladder
-    if key != before.arena and before.read:  # another ladder than before: from the start
-        read = new[-1].id if new else before.read
-        log, known = [m for m in store.matches(league, RATED) if m.id <= read], Ladder(())
-    return key, known.extended([m for m in log if m.arena == key], pool)
+class _Log(NamedTuple):
+    """What is kept of the log of rated matches, see Standing."""
+
+    arena: ArenaKey | None
+    ladder: Ladder
+    read: int
+    played: float
+    batches: Batches | None
+
+    @classmethod
+    def of(cls, store: Store, league: str, before: Standing, arena: ArenaKey | None, pool: Pool) -> "_Log":
+        """That of one ladder: what is new since before, added; of a ladder not seen before, the log's sums."""
+        new = store.matches(league, RATED, after=before.read) if before.read else []
+        key = arena or (new[-1].arena if new else before.arena)
+        if not before.read or key != before.arena:
+            return cls._summed(store, league, arena, pool)
+        ladder = before.ladder.extended([m for m in new if m.arena == key], pool)
+        played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
+        return cls(key, ladder, new[-1].id if new else before.read, played, _batches(before.batches, new))
+
+    @classmethod
+    def _summed(cls, store: Store, league: str, arena: ArenaKey | None, pool: Pool) -> "_Log":
+        totals = store.totals(league, RATED)
+        key, read = arena or next(iter(totals), None), max((log.newest for log in totals.values()), default=0)
+        pace = store.pace(league, RATED, until=read)
+        batches = None if pace.due is None else Batches(pace.due, pace.seconds or 0.0)
+        return cls(key, Ladder(pool, totals.get(key, ()) if key else ()), read, pace.played, batches)

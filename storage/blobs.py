@@ -1,4 +1,4 @@
-"""Content-addressed blobs: bytes named by their SHA-256, in a folder (object stores can follow behind `open_blobs`).
+"""Content-addressed blobs: bytes named by their SHA-256, in a folder, or in a bucket (`storage.buckets`).
 
 A blob appears whole or not at all and never changes, so any number of processes may put and get without locks. A
 killed writer leaves at most a file whose name starts with a dot, which nothing reads.
@@ -63,14 +63,24 @@ class Blobs(Protocol):
 
 
 def open_blobs(url: str | os.PathLike[str]) -> Blobs:
-    """Blobs at a folder path or `file:///` URL; the folder is made by the first put."""
+    """Blobs at a folder path, `file:///` or `s3://bucket/prefix`; a folder is made by the first put, no bucket is."""
     text = os.fspath(url)
     if not looks_like_url(text):
         return FolderBlobs(Path(text))
     parts = urlsplit(text)
     if parts.scheme == "file" and parts.netloc in ("", "localhost") and parts.path.startswith("/"):
         return FolderBlobs(Path(unquote(parts.path)))
-    raise StorageError(f"Cannot keep blobs at {shown_text(text)!r}: a folder path or file:///path is possible.")
+    if (
+        parts.scheme == "s3"
+        and re.fullmatch(r"[a-z0-9][a-z0-9.-]+", parts.netloc)
+        and not (parts.query + parts.fragment)
+    ):
+        from storage.buckets import BucketBlobs
+
+        return BucketBlobs(parts.netloc, parts.path)
+    raise StorageError(
+        f"Cannot keep blobs at {shown_text(text)!r}: a folder path, file:///path or s3://bucket/prefix is possible."
+    )
 
 
 class FolderBlobs:
@@ -171,9 +181,14 @@ class FolderBlobs:
             raise Away(f"The folder of blobs is not there (another place, a disk not mounted?): {self.folder}")
 
     def _path(self, digest: str) -> Path:
-        if not _DIGEST.fullmatch(digest):
-            raise StorageError(f"{digest!r} is not a blob's name, which is 64 hexadecimal digits (SHA-256).")
+        require_digest(digest)
         return self.folder / digest[:2] / digest[2:]
+
+
+def require_digest(text: str) -> None:
+    """Raise StorageError for what cannot be a blob's name."""
+    if not _DIGEST.fullmatch(text):
+        raise StorageError(f"{text!r} is not a blob's name, which is 64 hexadecimal digits (SHA-256).")
 
 
 def _files(folder: Path) -> Iterator[Entry]:

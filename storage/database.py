@@ -46,9 +46,16 @@ class Database:
             yield from rows
 
     @contextmanager
-    def writing(self) -> Iterator[sa.Connection]:
-        """A transaction that is committed whole at its end, or not at all where something is raised."""
-        with plain_errors(self.where), self.engine.execution_options(writes=True).begin() as db:
+    def writing(self, lasting: bool = True) -> Iterator[sa.Connection]:
+        """A transaction that is committed whole at its end, or not at all where something is raised.
+
+        One that is not `lasting` is not waited for until the disk has it: a power cut may undo it, and all others like
+        it since the last one that is. That serves for what says who works now: a claim that is undone is a job that
+        waits, and its holder is refused.
+        """
+        with plain_errors(self.where), self.engine.execution_options(writes=True, lasting=lasting).begin() as db:
+            if not lasting and db.dialect.name == "postgresql":
+                db.exec_driver_sql("SET LOCAL synchronous_commit = off")
             yield db
 
     @contextmanager

@@ -6,64 +6,28 @@ Values are read as they lie there, of no type. What cannot be read is a finding,
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from dataclasses import fields
+from typing import Any
 
 import sqlalchemy as sa
 
 from storage import moving
 from storage import tables as t
-from storage.archive import shortened
 from storage.database import Database, plain_errors
 from storage.errors import Away, NewerStore, NotAStore, OldStore, StorageError
+from storage.findings import Kind, Refer, Report, Tell, Use, plain
 from storage.possible import check_possible
-
-Tell = Callable[[str, int, int | None], None]
-"""Is told how it goes on: of what, how much, and of how much (None: that is not known)."""
-Kind = Literal["missing", "orphaned", "corrupt"]
+from storage.records import Job
 
 PAGES = 100  # complaints of SQLite about its file that are told
-
-
-class Finding(NamedTuple):
-    """Something that is not as it should be."""
-
-    kind: Kind
-    place: str  # such as "database", "matches cup/17" or "blob 01ab..."
-    problem: str
-    bytes: int = 0  # of what is orphaned
-
-
-@dataclass
-class Report:
-    """What was looked at, and what was found."""
-
-    where: str
-    rows: int = 0
-    blobs: int = 0  # that rows name
-    recordings: int = 0  # those of them that are recordings
-    told: bool = True  # whether it is known what is orphaned
-    findings: list[Finding] = field(default_factory=list)
-
-    def add(self, kind: Kind, place: str, problem: object, size: int = 0) -> None:
-        """Add a finding, as text that any terminal takes."""
-        self.findings.append(Finding(kind, _plain(place), _plain(problem), size))
-
-
-class Use(NamedTuple):
-    """A row that names a blob."""
-
-    table: str
-    place: str
-    sides: frozenset[str]  # of a match
-    script: str | None  # of a snapshot
 
 
 class Rows:
     """The rows of a store, examined as if they came from a stranger."""
 
-    def __init__(self, database: Database, report: Report, tell: Tell, has_blobs: bool):
+    def __init__(self, database: Database, report: Report, tell: Tell, has_blobs: bool, refer: Refer):
         self._database, self._report, self._tell, self._has_blobs = database, report, tell, has_blobs
+        self._refer = refer
         self._check = moving.Check((), ())
         self._named: dict[str, Use] = {}
         self._counted: dict[str, object] = {}  # league -> how many matches it counts
@@ -215,8 +179,21 @@ class Rows:
         check_possible(table.name, row)
         if table is not t.leagues and row["league"] not in self._check.leagues:
             raise ValueError(f"league {row['league']!r} is not there")
+        if table is t.jobs and row["state"] in ("queued", "failed"):
+            self._require_references(row)
         if table is not t.workers:
             self._check.examine(table.name, {c.name: row[c.name] for c in moving.columns(table)})
+
+    def _require_references(self, row: Mapping[str, Any]) -> None:
+        """Raise ValueError where a job that is still to be done points to what is not there."""
+        job = Job(**{f.name: row[f.name] for f in fields(Job) if f.name in row})
+        try:
+            pointed = list(self._refer(job))
+        except StorageError as error:
+            raise ValueError(str(error)) from None
+        for name, key in pointed:
+            if not self._check.has(name, job.league, key):
+                raise ValueError(f"it needs {key!r}, which is none of the {name} of league {job.league!r}")
 
     def _name(self, table: str, row: Mapping[str, Any], place: str) -> None:
         """Note which blob a row names. A name that is none is told of as the row's fault."""
@@ -271,12 +248,7 @@ def _place(table: str, row: Mapping[str, Any]) -> str:
     """A row in words: its table and its key."""
     of_player = {"checkpoints": ("league", "player", "iteration"), "meetings": ("league", "player", "id")}
     names = moving.KEYS.get(table) or of_player.get(table) or ("league", "id")
-    return f"{table} {'/'.join(_plain(row.get(name, '?')) for name in names)}"
-
-
-def _plain(what: object) -> str:
-    """What a damaged store says, as one line of text that any terminal takes."""
-    return "".join(c if c.isprintable() else "?" for c in shortened(what).encode(errors="replace").decode())
+    return f"{table} {'/'.join(plain(row.get(name, '?')) for name in names)}"
 
 
 def _cause(error: StorageError, where: str) -> str:

@@ -5,59 +5,71 @@ database's clock. So of two that believe they hold a job, at most one is right, 
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import sqlalchemy as sa
 
 from storage import tables as t
+from storage.database import Database
 from storage.errors import LeaseLost, Superseded, UnknownName
 from storage.records import Job, Lease
 from storage.rows import NEWEST_CHECKPOINT, columns, record_from, touch
 
 
-def waiting(league: str, kinds: Sequence[str], max_attempts: int) -> sa.Select[Any]:
-    """A row where there is something for `claim` to do now: cheaper to ask, and it keeps nobody from writing."""
-    claimable, hopeless = _claimable(league, kinds, max_attempts)
-    return sa.select(t.jobs.c.id).where(sa.or_(claimable, hopeless)).limit(1)
+def look(db: Database, league: str, kinds: tuple[str, ...], max_attempts: int) -> tuple[bool, bool]:
+    """Whether there is a job to take now, and one to give up: cheaper to ask, and it keeps nobody from writing."""
+    some, hopeless = db.rows(_looking(league, kinds, max_attempts))[0]
+    return some, hopeless
+
+
+def give_up(db: sa.Connection, league: str, kinds: tuple[str, ...], max_attempts: int) -> None:
+    """Set aside what has expired so often; the league has been touched."""
+    c = t.jobs.c
+    hopeless = _claimable(league, kinds, max_attempts)[1]
+    error = f"Its lease expired {max_attempts} times: every worker that took it died or hung."
+    ended = {"state": "failed", "error": error, "expiries": c.expiries + 1, "holder": None, "lease_until": None}
+    db.execute(sa.update(t.jobs).where(c.id.in_(_free(sa.select(c.id).where(hopeless)))).values(ended))
 
 
 def claim(
-    db: sa.Connection,
-    league: str,
-    kinds: Sequence[str],
-    holder: str,
-    seconds: float,
-    prefer: Sequence[str],
+    db: sa.Connection, league: str, kinds: tuple[str, ...], holder: str, seconds: float, prefer: tuple[str, ...],
     max_attempts: int,
-) -> tuple[Lease, Job] | None:
-    """See Store.claim; the league has been touched."""
-    c = t.jobs.c
-    claimable, hopeless = _claimable(league, kinds, max_attempts)
-    liked = sa.or_(sa.false(), *(sa.func.substr(c.key, 1, len(start)) == start for start in prefer))
-    order = (c.priority.desc(), sa.case((liked, 0), else_=1), c.id)
-    first = sa.select(c.id).where(claimable).order_by(*order).limit(1)
-    give_up = {
-        "state": "failed",
-        "error": f"Its lease expired {max_attempts} times: every worker that took it died or hung.",
-        "expiries": c.expiries + 1,
-        "holder": None,
-        "lease_until": None,
-    }
-    take = {
-        "state": "leased",
-        "holder": holder,
-        "attempt": c.attempt + 1,
-        "expiries": c.expiries + sa.case((c.state == "leased", 1), else_=0),
-        "lease_until": t.now() + seconds,
-    }
-    db.execute(sa.update(t.jobs).where(c.id.in_(_free(sa.select(c.id).where(hopeless)))).values(give_up))
-    # `=` and not IN: PostgreSQL may run an IN (... LIMIT 1) more than once, and then takes several jobs.
-    taken = sa.update(t.jobs).where(c.id == _free(first).scalar_subquery()).values(take)
-    row = db.execute(taken.returning(*columns(Job, t.jobs))).one_or_none()
+) -> tuple[Lease, Job] | None:  # fmt: skip
+    """See Store.claim."""
+    told = {"who": holder, "for_seconds": seconds}
+    row = db.execute(_taking(league, kinds, prefer, max_attempts), told).one_or_none()
     if row is None:
         return None
     job = record_from(Job, row)
     return Lease(job.id, holder, job.attempt), job
+
+
+# Statements that every worker sends again and again are built once: that takes longer than a database to answer them.
+
+
+@lru_cache
+def _looking(league: str, kinds: tuple[str, ...], max_attempts: int) -> sa.Select[Any]:
+    claimable, hopeless = _claimable(league, kinds, max_attempts)
+    return sa.select(*(sa.exists(sa.select(t.jobs.c.id).where(each)) for each in (claimable, hopeless)))
+
+
+@lru_cache
+def _taking(league: str, kinds: tuple[str, ...], prefer: tuple[str, ...], max_attempts: int) -> Any:
+    c = t.jobs.c
+    liked = sa.or_(sa.false(), *(sa.func.substr(c.key, 1, len(start)) == start for start in prefer))
+    order = (c.priority.desc(), sa.case((liked, 0), else_=1), c.id)
+    first = sa.select(c.id).where(_claimable(league, kinds, max_attempts)[0]).order_by(*order).limit(1)
+    take = {
+        "state": "leased",
+        "holder": sa.bindparam("who"),
+        "attempt": c.attempt + 1,
+        "expiries": c.expiries + sa.case((c.state == "leased", 1), else_=0),
+        "lease_until": t.now() + sa.bindparam("for_seconds", type_=sa.Double),
+    }
+    # `=` and not IN: PostgreSQL may run an IN (... LIMIT 1) more than once, and then takes several jobs.
+    taken = sa.update(t.jobs).where(c.id == _free(first).scalar_subquery()).values(take)
+    return taken.returning(*columns(Job, t.jobs))
 
 
 def renew(db: sa.Connection, lease: Lease, seconds: float) -> bool:

@@ -154,6 +154,10 @@ class Check:
             counted = row.get("matches")
             self._matches[row.get("name", "")] = counted if isinstance(counted, int) else 2**63
 
+    def has(self, name: str, league: str, key: str) -> bool:
+        """Whether a row of that name has been examined, or excused, in a table of named rows."""
+        return (league, key) in self._seen[name]
+
     def end(self) -> None:
         """Check what is known after the last row."""
         if missing := self.leagues - {key[0] for key in self._seen["leagues"]}:

@@ -213,7 +213,10 @@ def _sqlite_engine(url: sa.URL) -> sa.Engine:
 
     @event.listens_for(engine, "begin")
     def _begin(connection: sa.Connection) -> None:
+        asked = connection.get_execution_options()
+        if asked.get("writes"):
+            connection.exec_driver_sql(f"PRAGMA synchronous = {'FULL' if asked.get('lasting', True) else 'NORMAL'}")
         # A transaction that reads first and writes later can fail half-way when another writer slips in between.
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get("writes") else "BEGIN")
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if asked.get("writes") else "BEGIN")
 
     return engine

@@ -80,7 +80,8 @@ def blobs_place(given: str | os.PathLike[str] | None, url: sa.URL) -> str:
     if url.get_backend_name() == "sqlite":
         return str(Path(shown(url)).parent / "blobs")
     raise StorageError(
-        f"{shown(url)}: say where its blobs are kept, a folder that every host sees: --blobs FOLDER, or {BLOBS}."
+        f"{shown(url)}: say where its blobs are kept, a folder that every host sees or s3://bucket/prefix:"
+        f" --blobs PLACE, or {BLOBS}."
     )
 
 

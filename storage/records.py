@@ -163,6 +163,14 @@ class Totals(NamedTuple):
     newest: int  # id of the newest match of all
 
 
+class Pace(NamedTuple):
+    """When rating matches were played, and what the last ones took that were queued while players learnt."""
+
+    played: float  # when the last one was written, 0 without one
+    due: float | None  # to which second of training the last ones are booked
+    seconds: float | None  # of a device, that they took
+
+
 COUNTS = (
     "wins", "draws", "losses", "side_wins", "side_draws", "side_losses", *PairCounts._fields,
     "voids", "voids_a", "voids_b",

@@ -13,7 +13,8 @@ from storage import arrays, recording
 from storage.blobs import Blobs, Entry, open_blobs
 from storage.database import Database
 from storage.errors import Away, DamagedBlob, StorageError
-from storage.examined import Report, Rows, Tell, Use
+from storage.examined import Rows
+from storage.findings import Refer, Report, Tell, Use
 from storage.opening import open_unchanged
 from storage.places import blobs_place, database_url, shown
 
@@ -21,10 +22,12 @@ AGE = 3600.0
 """Seconds: what was put later than that may yet be named by a row."""
 
 
-def verify(where: str, blobs: str | None = None, age: float = AGE, tell: Tell = lambda *_: None) -> Report:
+def verify(
+    where: str, blobs: str | None = None, age: float = AGE, tell: Tell = lambda *_: None, refer: Refer = lambda _: (),
+) -> Report:  # fmt: skip
     """Look through the store at `where`. Whatever is wrong with it is a finding, and raises nothing.
 
-    What no row names is orphaned if it is older than `age` seconds.
+    What no row names is orphaned if it is older than `age` seconds. `refer` knows to what jobs point.
 
     Raises NotAStore, OldStore, NewerStore, Away (no server now) or StorageError where there is no store to look at.
     """
@@ -37,7 +40,7 @@ def verify(where: str, blobs: str | None = None, age: float = AGE, tell: Tell = 
         listed = None
     engine = open_unchanged(url)
     try:
-        named = Rows(Database(engine, report.where), report, tell, bool(listed)).read()
+        named = Rows(Database(engine, report.where), report, tell, bool(listed), refer).read()
     finally:
         engine.dispose()
     if listed is None and named:

@@ -18,10 +18,15 @@ from league.standing import Standing, turn_scores
 from matchmaking.payoff import Score
 from matchmaking.roles import FIXED
 from matchmaking.schedule import Kind, Learnt, Schedule, remaining
-from storage.records import Checkpoint, Job, Phase, Player, Worker
+from storage.records import Checkpoint, Job, JobState, Phase, Player, Worker
 from storage.store import Store
 
-STATES = {"queued": "queued", "leased": "being worked on", "done": "done", "failed": "set aside"}
+STATES: Mapping[JobState, str] = {
+    "queued": "queued",
+    "leased": "being worked on",
+    "done": "done",
+    "failed": "set aside",
+}
 PLAYERS = (
     Column("player", whole=True), "team", "role", "iteration", "steps", Column("now", whole=True),
     Column("trained", whole=True), "group",
@@ -43,7 +48,7 @@ class Facts:
 
     league: str
     runs: str  # by whom; empty for a league that is stopped
-    counts: Mapping[str, int]  # jobs in each of STATES
+    counts: Mapping[JobState, int]  # jobs in each of STATES
     players: Sequence[dict]
     share: str  # of the devices that rating matches have taken
     stages: Sequence[str]
@@ -64,17 +69,17 @@ def facts(opened: Open, whole_errors: bool = False) -> Facts:
     store, league = opened.store, opened.league
     players, checkpoints, phases = store.players(league), store.newest_checkpoints(league), store.phases(league)
     working = [worker for worker in processes(store, league) if worker.kinds != "manager"]
-    jobs, now = store.jobs(league), store.now()
+    counts, now = store.job_counts(league), store.now()
     runs, scores = _running(store, league, working), turn_scores(store, phases)
     return Facts(
-        league, runs, {state: sum(job.state == state for job in jobs) for state in STATES},
+        league, runs, {state: counts.get(state, 0) for state in STATES},
         [_player(p, checkpoints.get(p.name), phases.get(p.group), bool(runs)) for p in players],
         f"Rating: {_share(opened, players, checkpoints)}",
         _stages(store, league),
         [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners],
         _lives(opened, players, checkpoints),
         [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None],
-        [_set_aside(job, whole_errors) for job in jobs if job.state == "failed"],
+        [_set_aside(job, whole_errors) for job in store.jobs(league, "failed")],
         [_worker(worker, now) for worker in working],
     )  # fmt: skip
 

@@ -163,12 +163,13 @@ def matches(args: list[str]) -> int:
     """Print the match log."""
     options = parse(LogOptions, args, "matches", "Every batch of episodes, counted for a; the newest at the end.")
     with options.open() as opened:
-        rows = match_rows(opened.store.matches(opened.league))
+        total = opened.store.last_match(opened.league)
+        rows = match_rows(opened.store.matches(opened.league, after=total - _asked(options, total)))
     if options.format == "table":
         rows = [{**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}"} for row in rows]
     unlike = [key for key in ("arena", "engine") if len({row[key] for row in rows}) > 1]
     shown = list(MATCHES) if all(row["purpose"] == "rating" for row in rows) else [MATCHES[0], PURPOSE, *MATCHES[1:]]
-    print(_newest(rows, [*shown, *(Column(key, whole=True) for key in unlike)], options, args, "matches"))
+    print(_newest(rows, [*shown, *(Column(key, whole=True) for key in unlike)], options, args, "matches", total))
     return 0
 
 
@@ -190,7 +191,16 @@ def curves(args: list[str]) -> int:
         points = opened.points(options.player)
     rows = curve_rows(sorted(points, key=lambda p: (p.iteration, p.player)))  # of several players the newest of each
     known = {key for row in rows for key in row}
-    print(_newest(rows, [c for c in CURVES if (c if isinstance(c, str) else c.key) in known], options, args, "curves"))
+    print(
+        _newest(
+            rows,
+            [c for c in CURVES if (c if isinstance(c, str) else c.key) in known],
+            options,
+            args,
+            "curves",
+            len(rows),
+        )
+    )
     return 0
 
 
@@ -325,20 +335,24 @@ def _reached_by(key: ArenaKey, shown: ArenaKey) -> str:
     return f"league ratings {shlex.join(x for flag in flags for x in flag)}" if flags else "older rules, --all"
 
 
+def _asked(options: LogOptions, total: int) -> int:
+    """How many of the newest of so many rows are wanted."""
+    last = options.last if options.last is not None else NEWEST if options.format == "table" else total
+    return total if options.all else min(last, total)
+
+
 def _newest(
-    rows: list[Row], columns: Sequence[Column | str], options: LogOptions, args: Sequence[str], command: str
+    rows: list[Row], columns: Sequence[Column | str], options: LogOptions, args: Sequence[str], command: str, total: int
 ) -> str:
-    """The newest rows as text, and in a table how to see the others."""
+    """The newest of so many rows, of which those at least are given, as text; in a table also how to see the others."""
     format: Format = options.format
-    last = options.last if options.last is not None else NEWEST if format == "table" else len(rows)
-    shown = rows if options.all else rows[max(0, len(rows) - last) :]
+    last = _asked(options, total)
+    shown = rows[len(rows) - min(last, len(rows)) :]
     text = render(shown, columns if format == "table" else (), format)
-    if format != "table" or len(shown) == len(rows):
+    if format != "table" or last == total:
         return text
     more = f"league {command} {shlex.join([*_without(args, '--last'), '--last', str(4 * last)])}"
-    return f"{text}\n\n" + wrapped(
-        f"The newest {len(shown):,} of {len(rows):,}; `{more}` shows more, --all everything."
-    )
+    return f"{text}\n\n" + wrapped(f"The newest {len(shown):,} of {total:,}; `{more}` shows more, --all everything.")
 
 
 def _without(args: Sequence[str], flag: str) -> list[str]:

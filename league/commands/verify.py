@@ -9,7 +9,8 @@ from dashboards.tables import Column, render
 from league.commands.moving import Progress
 from league.commands.options import STORE, parse
 from league.config.durations import seconds
-from storage.examined import Finding, Kind, Report
+from league.jobs import references
+from storage.findings import Finding, Kind, Report
 from storage.verifying import verify as examine
 
 SHOWN = 20  # findings of a kind that a table tells one by one
@@ -37,14 +38,14 @@ class VerifyOptions:
 
 
 def verify(args: list[str]) -> int:
-    """Look through a store; 0 where all is well, 1 where something was found."""
-    what = "Read every row, blob and recording of a store: what is missing, orphaned or corrupt. Changes nothing."
+    """Look through a store; 0 where nothing is missing or corrupt, 1 where something is."""
+    what = "Read every row, blob and recording of a store: what is missing, corrupt or orphaned. Changes nothing."
     options = parse(VerifyOptions, args, "verify", what)
     progress = Progress("verifying")
-    report = examine(options.store, options.blobs, seconds(options.age), progress.tell)
+    report = examine(options.store, options.blobs, seconds(options.age), progress.tell, references)
     progress.end()
     print(_json(report) if options.format == "json" else _table(report))
-    return 1 if report.findings else 0
+    return 1 if report.damaged else 0
 
 
 def _json(report: Report) -> str:
@@ -69,7 +70,8 @@ def _table(report: Report) -> str:
     parts.append(render(rows, COLUMNS))
     parts.append(", ".join(f"{counts[kind]:,} {kind}" for kind in ORDER if counts[kind]) + ".")
     if counts["orphaned"]:
-        parts.append("What is orphaned takes space and does no harm: `league thin` removes it.")
+        damage = "" if report.damaged else "Nothing is missing or corrupt. "
+        parts.append(f"{damage}What is orphaned takes space and does no harm: `league thin` removes it.")
     return "\n".join(parts)
 
 

@@ -128,6 +128,24 @@ def test_standing_reads_only_what_is_new_and_nothing_where_nothing_changed(tmp_p
     store.close()
 
 
+def test_a_standing_read_at_once_is_the_one_that_was_read_piece_by_piece(tmp_path):
+    store, grown, seconds = filled(tmp_path / "store", match("blue@4", "blue@0", 6, 2)), None, 0.0
+    for due in (None, 3.0, 3.0, 7.0, None):
+        seconds += 0.25
+        logged = [match(a, "red@0", 2, 4, seconds=seconds, due=due) for a in ("blue@4", "red@4")]
+        finish(store, matches=[*logged, match("red@4", "red@0", 1, 1, due=50.0, purpose="exhibition")])
+        grown = Standing.of(store, "cup", grown)
+        once = Standing.of(store, "cup")
+        assert (once.read, once.played, once.batches) == (grown.read, grown.played, grown.batches)
+        for name in ("home", "away", "pairs", "voids", "last"):
+            assert (getattr(once.ladder.payoff, name) == getattr(grown.ladder.payoff, name)).all()
+    assert grown is not None
+    assert grown.batches is not None
+    assert grown.batches.due == 7.0
+    assert grown.batches.seconds == 2 * 1.0
+    store.close()
+
+
 def test_standing_goes_over_to_the_ladder_of_the_newest_matches_or_of_the_one_asked_for(tmp_path):
     store = filled(tmp_path / "store", match("blue@4", "blue@0", 6, 2), match("red@1", "red@0", 1, 1, arena=WARP))
     both = Standing.of(store, "cup")

@@ -4,10 +4,12 @@ import json
 import os
 import shutil
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from league.jobs import RatingMatch, TrainingTurn, encode
 from storage.store import Store
 from tests.league.conftest import call
 from tests.league.test_pack import ran, refused
@@ -40,6 +42,33 @@ def test_a_sound_store_is_told_so_with_exit_code_0(folder, capsys):
     assert "27 rows and 11 blobs that they name, 2 of them recordings" in out.replace("\n", " ")
     assert "Nothing is missing, orphaned or corrupt." in out
     assert contents(folder) == before
+
+
+def test_what_is_left_over_is_no_damage(folder, capsys):
+    stray(folder)
+    code, out, err = ran(capsys, "verify")
+    assert (code, err) == (0, "")
+    assert "Nothing is missing or corrupt. What is orphaned takes space and does no harm" in " ".join(out.split())
+
+
+def test_jobs_that_need_what_is_not_there_are_told(folder, capsys):
+    turn = TrainingTurn("1", 0, ("blue",), ("blue", "red"), {"blue": "", "red": ""}, 4, {"blue": (("", "red@1"),)})
+    done = replace(turn, past={"blue": (("", "red@9"),)})  # needs nothing any more
+    tasks = [turn, replace(turn, learners=("gold",)), RatingMatch((("blue@1", None),), 1),
+             RatingMatch((("blue@1", "red@8"),), 1)]  # fmt: skip
+    with Store.open(folder) as store:
+        store.queue([encode("cup", task, i) for i, task in enumerate(tasks)])
+        store.queue([replace(encode("cup", turn, "odd"), payload={"group": "1"})])
+        store.queue([encode("cup", done, "done", priority=9)])
+        claimed = store.claim("cup", ["train"], "me:1:train", 60)
+        assert claimed is not None
+        store.finish(claimed[0])
+    code, out, _ = ran(capsys, "verify", "--format", "json")
+    found = [finding["problem"] for finding in json.loads(out)["findings"]]
+    assert code == 1
+    assert len(found) == 3
+    for part in ("'gold', which is none of the players", "'red@8', which is none of the snapshots", "of no kind that"):
+        assert any(part in problem for problem in found), found
 
 
 def test_what_is_found_is_told_with_exit_code_1(folder, capsys):

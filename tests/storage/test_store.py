@@ -116,6 +116,16 @@ def test_each_league_numbers_its_own_matches(store: Store):
         assert [m.id for m in store.matches(league)] == [1, 2, 3, 4]
 
 
+def test_counts_are_those_of_what_there_is(store: Store):
+    assert (store.last_match("cup"), store.last_match("other"), store.job_counts("cup")) == (0, 0, {})
+    finish_a_job(store, matches=[match(1), match(2)])
+    store.queue([Job("cup", "any", "later")])
+    assert store.last_match("cup") == len(store.matches("cup")) == 2
+    assert store.job_counts("cup") == {"done": 1, "queued": 1}
+    assert [job.state for job in store.jobs("cup", ("queued", "done"))] == ["done", "queued"]
+    assert store.snapshot_count("cup") == len(store.snapshots("cup")) == 2
+
+
 def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
     store.create_league(League("other", ""))
 
@@ -138,8 +148,7 @@ def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
         lambda: store.add_snapshots([one]),
         lambda: store.queue([job]),
         lambda: store.queue([], [phase]),
-        lambda: held.append(lease()),
-        lambda: store.release(held.pop()),
+        lambda: store.release(lease()),
         lambda: store.fail(lease(), "error", tries=2, wait=0.0),
         lambda: store.setback(lease(), "blue", "nan"),
         lambda: store.queue([later]),

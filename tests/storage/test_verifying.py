@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from storage.errors import NewerStore, NotAStore, OldStore, StorageError
-from storage.examined import Finding
+from storage.findings import Finding
 from storage.store import Store
 from storage.verifying import verify
 from tests.storage import sound
