@@ -11,8 +11,9 @@ from dashboards import figures
 from dashboards.page import Page, Picture, Rows, Section
 from dashboards.tables import Column, render
 from league.commands import explain
+from league.commands.ladder import LADDER, TRIED, for_people, notes_on, title_of
 from league.commands.status import PLAYERS, WORKERS, Facts, facts
-from league.commands.tables import CURVES, LADDER, MATCHES, NEWEST, PURPOSE, TRIED, for_people, notes_on, title_of
+from league.commands.tables import CURVES, MATCHES, NEWEST, PURPOSE
 from league.config.schema import ConfigError
 from league.liveness import leader
 from league.metagame import table as payoff_table

@@ -7,7 +7,6 @@ from typing import get_args
 
 from dashboards.tables import Column, render
 from league.commands.options import Where, parse
-from league.commands.tables import clock
 from league.config.sections import Rating
 from league.course import course
 from league.liveness import leader, processes
@@ -15,6 +14,7 @@ from league.lives import Life, life
 from league.query import Open, score_text
 from league.share import words
 from league.standing import Standing, turn_scores
+from league.words import clock
 from matchmaking.payoff import Score
 from matchmaking.roles import FIXED
 from matchmaking.schedule import Kind, Learnt, Schedule, remaining
