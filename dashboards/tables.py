@@ -33,6 +33,7 @@ class Column:
     title: str = ""  # the key if empty
     decimals: int | None = None  # None: by the size of the column's largest value
     whole: bool = False  # never broken into two lines, whatever the width
+    typed: bool = False  # commands: HTML has a button for each, see `command`
 
 
 def render(
@@ -109,16 +110,22 @@ def _html(records: list[dict[str, Any]], columns: list[Column], title: str) -> s
     cells = [[record.get(c.key) for record in records] for c in columns]
     texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
     kinds = [' class="number"' if _is_numeric(values) else "" for values in cells]
+    shown = [list(map(command if c.typed else escape, column)) for c, column in zip(columns, texts, strict=True)]
     heads = [f'<th scope="col"{kind}>{escape(c.title or c.key)}</th>' for c, kind in zip(columns, kinds, strict=True)]
     naming = next((i for i, c in enumerate(columns) if c.whole), None)
     tags = [("th", ' scope="row"') if i == naming else ("td", kind) for i, kind in enumerate(kinds)]
     rows = [
-        "".join(f"<{tag}{about}>{escape(text)}</{tag}>" for (tag, about), text in zip(tags, row, strict=True))
-        for row in zip(*texts, strict=True)
+        "".join(f"<{tag}{about}>{text}</{tag}>" for (tag, about), text in zip(tags, row, strict=True))
+        for row in zip(*shown, strict=True)
     ] or [f'<td colspan="{len(columns)}">(none)</td>']
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     caption = f"<caption>{escape(title)}</caption>" if title else ""
     return f"<table>{caption}<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>"
+
+
+def command(text: str) -> str:
+    """A command in HTML, as a button that copies it; nothing where it is missing."""
+    return "" if text == MISSING else f'<button type="button" class="copy">{escape(text)}</button>'
 
 
 def _is_plain(heads: list[str], texts: list[list[str]], width: int) -> bool:

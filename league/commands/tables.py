@@ -12,9 +12,10 @@ from league.words import wrapped
 
 NEWEST = 30
 """Rows of a long table that are printed unless more are asked for."""
+RECORDED = Column("recorded", "rec.")
 MATCHES = (
     "match", Column("a", whole=True), Column("b", whole=True), Column("result", "w-d-l", whole=True), "voids",
-    Column("score", decimals=3), Column("recorded", "rec."),
+    Column("score", decimals=3), RECORDED,
 )  # fmt: skip
 PURPOSE = Column("purpose", "for", whole=True)  # where there are others than the league's own rating matches
 SNAPSHOTS = (
