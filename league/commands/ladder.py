@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import combinations, product
 
 from dashboards.tables import Column, render
+from dashboards.terminal import spark, styles
 from league.query import Shown, score_text
 from league.rated import VOID_LIMIT, Row, rating_rows, side_score, side_text, unlike_sides
 from league.words import clock, wrapped
@@ -16,6 +17,9 @@ TICKING = (
     f"The ticker is a sequential Elo (K = {K:g} a game) over the log: it depends on the order of the games and has no"
     " interval. elo ± is the rating, a fit of all games at once."
 )
+RISING = "course: the ratings of a player's snapshots, from its first to this one, on one scale for all players."
+
+COURSE = Column("course", whole=True)
 ABOUT = (
     Column("trained", whole=True), Column("role", whole=True), Column("player", whole=True),
     Column("last", "last played", whole=True),
@@ -45,18 +49,21 @@ def ratings_table(
     return rated_table(ladder, rows, Shown(ladder.arena, [ladder], [], list(frozen), list(players), void_limit))
 
 
-def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = False) -> str:
-    """The same of some of a ladder's rows, which get columns for people; or its ticker."""
+def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = False, lit: bool = False) -> str:
+    """The same of some of a ladder's rows, which get columns for people; or its ticker. Where `lit`, for a terminal."""
     rows = for_people(rows)
     columns, sides = TRIED if ladder.one_team else LADDER, unlike_sides(shown.players)
     title = f"Online Elo ticker in {called(ladder.arena)}" if ticking and ladder.arena else title_of(ladder)
     columns = TICKED if ticking else columns
-    parts = [render(rows, columns, title=title)]
+    if lit:
+        rows, at = _lit(rows, "success" if ladder.one_team else "elo"), columns.index("games")
+        columns = (*columns[:at], COURSE, *columns[at:])
+    parts = [render(rows, columns, title=title, lit=lit)]
     if sides:
         of = {roster: [row for row in rows if row["roster"] == roster] for roster in sides}
-        parts = [title, *(render(of[r], columns, title=f"{side_text(r)}:") for r in sides if of[r])]
+        parts = [title, *(render(of[r], columns, title=f"{side_text(r)}:", lit=lit) for r in sides if of[r])]
     notes = notes_on(ladder, rows, shown)
-    notes = [TICKING, *notes] if ticking else notes
+    notes = [*([TICKING] if ticking else []), *notes, *([RISING] if lit else [])]
     return "\n\n".join([*parts, *(["\n".join(map(wrapped, notes))] if notes else [])])
 
 
@@ -74,6 +81,17 @@ def for_people(rows: Sequence[Row]) -> list[Row]:
         }
         for row in rows
     ]
+
+
+def _lit(rows: Sequence[Row], merit: str) -> list[Row]:
+    """Rows in the colours of their players, the newest of each with the course of its player's ratings."""
+    courses: dict[str, list[Row]] = {}
+    for row in sorted((r for r in rows if r["player"] and r[merit] is not None), key=lambda r: r["iteration"]):
+        courses.setdefault(row["player"], []).append(row)
+    values = [row[merit] for own in courses.values() for row in own]
+    lines = {own[-1]["name"]: spark([row[merit] for row in own], min(values), max(values)) for own in courses.values()}
+    colours = styles(row["player"] for row in rows if row["player"])
+    return [{**row, COURSE.key: lines.get(row["name"], ""), "style": colours.get(row["player"])} for row in rows]
 
 
 def notes_on(ladder: Ladder, rows: Sequence[Row], shown: Shown) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from dashboards.tables import render
+from dashboards.terminal import is_lit
 from league.commands.ladder import called, rated_table
 from league.commands.options import Listing, parse
 from league.config.schema import ConfigError
@@ -59,7 +60,7 @@ def ratings(args: list[str]) -> int:
     if options.format == "parquet":
         _write_parquet([row for _, rows in found for row in rows])
     elif options.format == "table":
-        tables = [rated_table(ladder, rows, shown, options.ticker) for ladder, rows in found]
+        tables = [rated_table(ladder, rows, shown, options.ticker, is_lit()) for ladder, rows in found]
         print("\n\n".join([*tables, *_others(shown.others, shown.key)]))
     else:
         print(render([row for _, rows in found for row in rows], (), options.format))
