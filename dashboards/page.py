@@ -7,11 +7,12 @@ refuse all others.
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib import resources
+from typing import Any
 
 from dashboards.errors import ViewerError
 from dashboards.figures import Figure
@@ -34,12 +35,26 @@ class Rows:
 
 
 @dataclass(frozen=True)
+class Pairs:
+    """A table of which a reader sees the rows of one pair, chosen in two lists or in the heat map that stands before.
+
+    `found[a][b]` has the rows of a against b: each as many texts as there are `heads`, the last one a command to copy.
+    """
+
+    firsts: Sequence[str]
+    seconds: Sequence[str]
+    heads: Sequence[str]
+    found: Mapping[str, Mapping[str, Sequence[Sequence[str]]]]
+    name: str
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of the page under a heading: notes (plain text), figures and tables, in their order."""
 
     id: str
     title: str
-    parts: Sequence[str | Picture | Rows]
+    parts: Sequence[str | Picture | Rows | Pairs]
 
 
 @dataclass(frozen=True)
@@ -62,11 +77,11 @@ def document(page: Page, live: bool = False) -> str:
     own = script("page.js")
     if live:
         scripts = '<script src="plotly.js"></script>\n<script src="page.js" defer></script>'
-        policy, state = "", '<p id="state" role="status">Up to date.</p>'
+        policy, last = "", ""
     else:
         scripts = f"<script>{script('plotly.js')}</script>"
         policy = f'<meta http-equiv="Content-Security-Policy" content="{_policy(script("plotly.js"), own)}">\n'
-        state = f"<script>{own}</script>"
+        last = f"\n<script>{own}</script>"
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -88,7 +103,7 @@ def document(page: Page, live: bool = False) -> str:
 <main id="content" data-version="{escape(page.version)}">
 {body(sections)}
 </main>
-{state}
+<p id="state" role="status">{"Up to date." if live else ""}</p>{last}
 </body>
 </html>
 """
@@ -142,20 +157,44 @@ def _parts(section: Section) -> Iterator[str]:
             case str():
                 yield f'<p class="notes" id="{name}" data-block>{escape(part)}</p>'
             case Rows():
-                yield (
-                    f'<div class="rows" id="{name}" data-block role="region" tabindex="0"'
-                    f' aria-label="{escape(part.name)}">{part.markup}</div>'
-                )
+                yield f'<div id="{name}" data-block {_region(part.name)}>{part.markup}</div>'
             case Picture():
-                yield (
-                    f'<figure id="{name}" data-block><div class="plot" role="img" aria-labelledby="{name}-told"'
-                    f' style="height: {part.figure["layout"]["height"]}px"></div>'
-                    f'<figcaption id="{name}-told">{escape(part.told)}</figcaption>'
-                    f'<script type="application/json">{_embedded(part.figure)}</script></figure>'
-                )
+                yield _picture(name, part)
+            case Pairs():
+                yield _pairs(name, part)
 
 
-def _embedded(figure: Figure) -> str:
+def _region(name: str) -> str:
+    """The attributes of what scrolls by itself."""
+    return f'class="rows" role="region" tabindex="0" aria-label="{escape(name)}"'
+
+
+def _picture(name: str, part: Picture) -> str:
+    return (
+        f'<figure id="{name}" data-block><div class="plot" role="img" aria-labelledby="{name}-told"'
+        f' style="height: {part.figure["layout"]["height"]}px"></div>'
+        f'<figcaption id="{name}-told">{escape(part.told)}</figcaption>{_embedded(part.figure)}</figure>'
+    )
+
+
+def _pairs(name: str, part: Pairs) -> str:
+    lists = "".join(
+        f'<label>{said} <select><option value="">choose</option>{_options(names)}</select></label>\n'
+        for said, names in (("of", part.firsts), ("and", part.seconds))
+    )
+    return (
+        f'<fieldset class="pairs" id="{name}" data-block><legend>{escape(part.name)}</legend>\n{lists}'
+        f'<div {_region(part.name)} aria-live="polite" hidden></div>'
+        f"{_embedded({'heads': part.heads, 'found': part.found})}</fieldset>"
+    )
+
+
+def _options(names: Sequence[str]) -> str:
+    return "".join(f"<option>{escape(name)}</option>" for name in names)
+
+
+def _embedded(value: Any) -> str:
     """JSON that no HTML parser takes for the end of the script that it stands in. Raises ValueError for nan."""
-    text = json.dumps(figure, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    text = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    return f'<script type="application/json">{text}</script>'

@@ -1,6 +1,7 @@
 """Rows as text for a terminal, a program or a spreadsheet.
 
-Tables hold no escape codes, so they read the same in a terminal, a pipe and a file.
+Tables hold no escape codes, so they read the same in a terminal, a pipe and a file; but for those that are asked for in
+a terminal's colours.
 """
 
 import csv
@@ -33,6 +34,7 @@ class Column:
     title: str = ""  # the key if empty
     decimals: int | None = None  # None: by the size of the column's largest value
     whole: bool = False  # never broken into two lines, whatever the width
+    typed: bool = False  # commands: HTML has a button for each, see `command`
 
 
 def render(
@@ -41,6 +43,7 @@ def render(
     format: Format = "table",
     title: str = "",
     width: int | None = None,
+    lit: bool = False,
 ) -> str:
     """Return rows as text without a newline at its end.
 
@@ -49,7 +52,8 @@ def render(
     keys and with full precision; not-a-number and infinity become null in JSON, which has no word for them. `html` is a
     table element with the cells of a `table`; the first column that is `whole` names its row. `title` is for both;
     `width` is for a `table`, that of the terminal without it, or 80 without one. Nothing is ever cut: text is folded,
-    and where even so the columns do not fit side by side the last ones are left out, and named below.
+    and where even so the columns do not fit side by side the last ones are left out, and named below. Where `lit`, a
+    `table` has a terminal's colours: a row that of its key `style`, in rich's words.
 
     Raises ValueError for an unknown format.
     """
@@ -67,7 +71,7 @@ def render(
             lines.writerows([record.get(c.key) for c in chosen] for record in records)
             return out.getvalue().removesuffix("\n")
         case "table":
-            return _table(records, chosen, title, width or shutil.get_terminal_size().columns)
+            return _table(records, chosen, title, width or shutil.get_terminal_size().columns, lit)
         case "html":
             return _html(records, chosen, title)
     raise ValueError(f"there is no format {format!r}; choose one of: {', '.join(get_args(Format))}")
@@ -90,15 +94,16 @@ def _jsonable(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _table(records: list[dict[str, Any]], columns: list[Column], title: str, width: int) -> str:
+def _table(records: list[dict[str, Any]], columns: list[Column], title: str, width: int, lit: bool) -> str:
     columns, left_out = _fitting(records, columns, width)
     cells = [[record.get(c.key) for record in records] for c in columns]
     texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
     heads = [column.title or column.key for column in columns]
-    if _is_plain(heads, texts, width):
+    if not lit and _is_plain(heads, texts, width):
         lines = [*textwrap.wrap(title, width), *_plain(heads, texts, list(map(_is_numeric, cells)))]
     else:
-        lines = _folded(columns, cells, texts, title, width)
+        styles = [record.get("style") for record in records] if lit else None
+        lines = _folded(columns, cells, texts, title, width, styles)
     if left_out:
         names = ", ".join(c.title or c.key for c in left_out)
         lines += textwrap.wrap(f"{width} columns are too few for: {names}", width)
@@ -109,16 +114,22 @@ def _html(records: list[dict[str, Any]], columns: list[Column], title: str) -> s
     cells = [[record.get(c.key) for record in records] for c in columns]
     texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
     kinds = [' class="number"' if _is_numeric(values) else "" for values in cells]
+    shown = [list(map(command if c.typed else escape, column)) for c, column in zip(columns, texts, strict=True)]
     heads = [f'<th scope="col"{kind}>{escape(c.title or c.key)}</th>' for c, kind in zip(columns, kinds, strict=True)]
     naming = next((i for i, c in enumerate(columns) if c.whole), None)
     tags = [("th", ' scope="row"') if i == naming else ("td", kind) for i, kind in enumerate(kinds)]
     rows = [
-        "".join(f"<{tag}{about}>{escape(text)}</{tag}>" for (tag, about), text in zip(tags, row, strict=True))
-        for row in zip(*texts, strict=True)
+        "".join(f"<{tag}{about}>{text}</{tag}>" for (tag, about), text in zip(tags, row, strict=True))
+        for row in zip(*shown, strict=True)
     ] or [f'<td colspan="{len(columns)}">(none)</td>']
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     caption = f"<caption>{escape(title)}</caption>" if title else ""
     return f"<table>{caption}<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>"
+
+
+def command(text: str) -> str:
+    """A command in HTML, as a button that copies it; nothing where it is missing."""
+    return "" if text == MISSING else f'<button type="button" class="copy">{escape(text)}</button>'
 
 
 def _is_plain(heads: list[str], texts: list[list[str]], width: int) -> bool:
@@ -140,21 +151,37 @@ def _plain(heads: list[str], texts: list[list[str]], numeric: list[bool]) -> lis
     return ["", head.rstrip(), " " + "─" * (len(head) - 1), *(row.rstrip() for row in rows), ""]
 
 
-def _folded(columns: list[Column], cells: list[list[Any]], texts: list[list[str]], title: str, width: int) -> list[str]:
+def _folded(
+    columns: list[Column],
+    cells: list[list[Any]],
+    texts: list[list[str]],
+    title: str,
+    width: int,
+    styles: Sequence[str | None] | None = None,
+) -> list[str]:
+    """By rich; in its colours where there are styles, one for each row."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title or None, title_justify="left")
+    table = Table(
+        box=box.SIMPLE_HEAD, pad_edge=False, title=title or None, title_justify="left", title_style="bold",
+        header_style="bold",
+    )  # fmt: skip
     for column, values in zip(columns, cells, strict=True):
         is_number = _is_numeric(values)
         justify = "right" if is_number else "left"
         whole = is_number or column.whole
         table.add_column(column.title or column.key, justify=justify, no_wrap=whole, overflow="fold")
-    for row in zip(*texts, strict=True):
-        table.add_row(*row)
+    for i, row in enumerate(zip(*texts, strict=True)):
+        table.add_row(*row, style=styles[i] if styles else None)
     out = io.StringIO()
-    Console(file=out, width=width, color_system=None, markup=False, highlight=False, emoji=False).print(table)
+    lit = styles is not None
+    colours = "auto" if lit else None  # by what the terminal says that it knows
+    console = Console(
+        file=out, width=width, color_system=colours, force_terminal=lit, markup=False, highlight=False, emoji=False
+    )
+    console.print(table)
     return [line.rstrip() for line in out.getvalue().splitlines()]
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from league.commands.tables import clock
 from league.exchange import ladders, rating_row
 from league.query import Open, score_text
+from league.words import clock
 from matchmaking.ladder import ANCHOR_ELO, UNKNOWN, Ladder
 from storage.records import Snapshot
 

@@ -16,7 +16,7 @@ COMMANDS = {
     "stop": ("league.commands.stop", "stop a running league, on whatever host it runs"),
     "status": ("league.commands.status", "what runs, who learns, which jobs wait or were set aside"),
     "init": ("league.commands.init", "write a commented league.toml"),
-    "ratings": ("league.commands.tables", "the ratings table"),
+    "ratings": ("league.commands.ratings", "the ratings table"),
     "rate": ("league.commands.rate", "ratings of a match log of your own, from a CSV file"),
     "matches": ("league.commands.tables", "the match log"),
     "snapshots": ("league.commands.tables", "the frozen policies"),

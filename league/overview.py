@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dashboards import figures
-from dashboards.page import Page, Picture, Rows, Section
+from dashboards.page import Page, Pairs, Picture, Rows, Section
 from dashboards.tables import Column, render
 from league.commands import explain
+from league.commands.ladder import LADDER, TRIED, for_people, notes_on, title_of
 from league.commands.status import PLAYERS, WORKERS, Facts, facts
-from league.commands.tables import CURVES, LADDER, MATCHES, NEWEST, PURPOSE, TRIED, for_people, notes_on, title_of
+from league.commands.tables import CURVES, MATCHES, NEWEST, PURPOSE, RECORDED
 from league.config.schema import ConfigError
 from league.liveness import leader
 from league.metagame import table as payoff_table
@@ -32,6 +33,9 @@ LINEAGE = (
     Column("name", "snapshot", whole=True), Column("parent", "goes on from", whole=True), "player", "origin",
     "iteration", "steps", Column("digest", whole=True),
 )  # fmt: skip
+OF_A_PAIR = 10
+"""Batches of a pair that can be looked at, the newest ones: `league matches` has all."""
+WATCH = Column("watch", "to watch it", typed=True)
 SHORT = 12  # hexadecimal digits of a digest that tell snapshots apart
 
 
@@ -55,16 +59,17 @@ def sections(opened: Open) -> list[Section]:
         {**row, "steps": steps.get(row["name"])}
         for row in rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
     ]
+    played = _played(opened)
     found = {
         ("now", "Who learns now"): _schedule(status, opened.store.now()),
         ("ladder", "Ladder"): _ladder(rows, shown),
         ("ratings", "Ratings over training"): _ratings(rows, shown),
-        ("payoff", "Payoff"): _payoff(shown),
+        ("payoff", "Payoff"): _payoff(shown, played),
         ("opponents", "Opponents now"): _opponents(opened, standing),
         ("curves", "Learning curves"): _curves(points),
         ("throughput", "Throughput"): _throughput(points, status),
         ("jobs", "Jobs and errors"): _jobs(standing, status),
-        ("matches", "Newest matches"): _matches(opened),
+        ("matches", "Newest matches"): _matches(played),
         ("lineage", "Lineage"): _lineage(shown),
     }
     return [Section(id, title, list(parts)) for (id, title), parts in found.items()]
@@ -134,7 +139,7 @@ def _ratings(rows: Sequence[Row], shown: Shown) -> Iterator[str | Picture]:
         )
 
 
-def _payoff(shown: Shown) -> Iterator[str | Picture | Rows]:
+def _payoff(shown: Shown, played: Sequence[Row]) -> Iterator[str | Picture | Rows | Pairs]:
     if shown.ladders[0].one_team:
         yield "There is one team: nobody meets anybody."
         return
@@ -152,7 +157,8 @@ def _payoff(shown: Shown) -> Iterator[str | Picture | Rows]:
             f" {len(rows)} × {len(columns)} of {len(found.rows):,} × {len(found.columns):,} snapshots, those that have"
             " met the most others: `league payoff --format csv` has all."
         )
-    yield Picture(figures.payoff(rows, columns, scores, games), told)
+    yield Picture(figures.payoff(rows, columns, scores, games), f"{told} A click on a cell shows its matches.")
+    yield _pairs(rows, columns, played)
     cells = [
         {"score %": name, **{other: 100 * x for other, x in zip(columns, line, strict=True)}}
         for name, line in zip(rows, scores.tolist(), strict=True)
@@ -230,15 +236,33 @@ def _jobs(standing: Standing, status: Facts) -> Iterator[str | Rows]:
     yield _table(rows, columns, "Jobs that wait, are worked on or were set aside")
 
 
-def _matches(opened: Open) -> Iterator[Rows | str]:
-    rows = match_rows(opened.store.matches(opened.league))
-    newest = [
-        {**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}", "created": when(row["created"])}
-        for row in reversed(rows[-NEWEST:])
-    ]
-    yield "`league watch NUMBER` shows a match that was recorded."
-    columns = [*MATCHES, PURPOSE, Column("created", "played", whole=True)]
-    yield _table(newest, columns, f"The newest {len(newest)} of {len(rows):,} batches, counted for a")
+def _played(opened: Open) -> list[Row]:
+    """The match log, newest first, with what tables for people have beside it."""
+    return [
+        {**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}", "created": when(row["created"]),
+         "watch": f"league watch {row['match']}" if row["recorded"] else None}
+        for row in reversed(match_rows(opened.store.matches(opened.league)))
+    ]  # fmt: skip
+
+
+def _matches(played: Sequence[Row]) -> Iterator[Rows | str]:
+    yield "`league watch NUMBER` shows a match that was recorded; a click on a command copies it."
+    newest = played[:NEWEST]
+    columns = [*(c for c in MATCHES if c != RECORDED), PURPOSE, Column("created", "played", whole=True), WATCH]
+    yield _table(newest, columns, f"The newest {len(newest)} of {len(played):,} batches, counted for a")
+
+
+def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row]) -> Pairs:
+    """The newest matches of each pair of a heat map."""
+    heads = {"match": "match", "a": "a", "b": "b", "result": "w-d-l", "created": "played", "watch": WATCH.title}
+    found: dict[str, dict[str, list[list[str]]]] = {}
+    for row in played:
+        if {row["a"], row["b"]} <= {*rows, *columns}:
+            own = found.setdefault(row["a"], {}).setdefault(row["b"], [])
+            if len(own) < OF_A_PAIR:
+                own.append([str(row[key] or "") for key in heads])
+    name = f"Matches of a pair, counted for a, the newest {OF_A_PAIR} of each order"
+    return Pairs(rows, columns, list(heads.values()), found, name)
 
 
 def _lineage(shown: Shown) -> Iterator[Picture | Rows | str]:

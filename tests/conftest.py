@@ -1,4 +1,6 @@
 import os
+import shutil
+from typing import NoReturn
 
 import pytest
 
@@ -20,6 +22,26 @@ def graphics():
     except ViewerError as error:
         if str(error) != NO_DRIVER:
             raise
-    if os.environ.get("REQUIRE_GRAPHICS", "0") not in ("", "0"):
-        pytest.fail(f"{NO_DRIVER} (REQUIRE_GRAPHICS=0 skips this test)", pytrace=False)
-    pytest.skip(NO_DRIVER)
+    _without("REQUIRE_GRAPHICS", NO_DRIVER)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Headless Chromium: where there is none its tests are skipped, or fail under REQUIRE_BROWSER=1."""
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if found is None:
+        _without("REQUIRE_BROWSER", "there is no Chromium: apt-get install chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        # Chromium's sandbox does not start as root, as which containers run; these pages are our own.
+        running = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield running
+        running.close()
+
+
+def _without(switch: str, why: str) -> NoReturn:
+    """Skip a test for want of something, or fail it where the switch says that all is there."""
+    if os.environ.get(switch, "0") not in ("", "0"):
+        pytest.fail(f"{why} ({switch}=0 skips this test)", pytrace=False)
+    pytest.skip(why)

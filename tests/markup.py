@@ -18,6 +18,7 @@ class Markup(HTMLParser):
         self.figures: dict[str, Any] = {}  # by id: what Plotly gets
         self.labels: dict[str, str] = {}  # by id of the figure: the id of what a screen reader says
         self.captions: dict[str, str] = {}  # by id of the figure: what it says
+        self.data: list[Any] = []  # what other parts of the page are given as JSON
         self.notes: list[str] = []
         self.ids: list[str] = []
         self.links: list[str] = []  # every href and src
@@ -79,6 +80,8 @@ class Markup(HTMLParser):
                 self.notes.append(self._text)
             case "figcaption":
                 self.captions[self._figure] = self._text
+            case "script" if self._kind == "application/json" and "figure" not in self._open:
+                self.data.append(json.loads(self._text))
             case "script" if self._kind == "application/json":
                 self.figures[self._figure] = json.loads(self._text)
             case "script":

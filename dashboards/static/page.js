@@ -3,8 +3,11 @@
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
+const values = (block) => block.querySelector("script[type='application/json']");
+const read = (block) => JSON.parse(values(block).textContent);
+
 function draw(block) {
-  const figure = JSON.parse(block.querySelector("script[type='application/json']").textContent);
+  const figure = read(block);
   const style = getComputedStyle(document.documentElement);
   const [ink, line] = ["--ink", "--line"].map((name) => style.getPropertyValue(name).trim());
   const layout = {
@@ -23,13 +26,59 @@ const drawn = new IntersectionObserver((seen) => {
     if (isIntersecting) {
       drawn.unobserve(target); // once: later changes are drawn as they come
       target.dataset.drawn = "yes";
-      draw(target);
+      draw(target).then((plot) => plot.on("plotly_click", ({ points }) => choose(target, points[0])));
     }
   }
 }, { rootMargin: "600px" });
 
 function watch(root) {
   root.querySelectorAll("figure").forEach((figure) => drawn.observe(figure));
+}
+
+// A click on a figure's cell chooses its pair in the lists that follow the figure.
+function choose(figure, { x, y }) {
+  const pairs = figure.parentElement.querySelector(".pairs");
+  if (!pairs) return;
+  [y, x].forEach((name, i) => { pairs.querySelectorAll("select")[i].value = name; });
+  showPair(pairs);
+  pairs.scrollIntoView({ block: "nearest" });
+}
+
+function made(tag, ...inside) {
+  const element = document.createElement(tag);
+  element.append(...inside);
+  return element;
+}
+
+function copying(command) {
+  const button = made("button", command);
+  Object.assign(button, { type: "button", className: "copy" });
+  return button;
+}
+
+function showPair(pairs) {
+  const [a, b] = [...pairs.querySelectorAll("select")].map((list) => list.value);
+  const { heads, found } = read(pairs);
+  const of = (one, other) => found[one]?.[other] ?? [];
+  const rows = (a === b ? of(a, b) : [...of(a, b), ...of(b, a)]).sort((one, other) => other[0] - one[0]);
+  const line = (row) => made("tr", ...row.map((text, i) => made("td", i < row.length - 1 || !text ? text : copying(text))));
+  const titles = made("thead", made("tr", ...heads.map((head) => Object.assign(made("th", head), { scope: "col" }))));
+  const told = `${a} and ${b}: ${rows.length || "no"} ${rows.length === 1 ? "batch" : "batches"}`;
+  const table = made("table", made("caption", told), titles, made("tbody", ...rows.map(line)));
+  const shown = pairs.querySelector(".rows");
+  shown.hidden = !a || !b;
+  if (!same(shown, made("div", table))) shown.replaceChildren(table); // or it would be read out again
+}
+
+async function copy(button) {
+  const state = document.getElementById("state");
+  try {
+    await navigator.clipboard.writeText(button.textContent);
+    state.textContent = `Copied: ${button.textContent}`;
+  } catch {
+    getSelection().selectAllChildren(button);
+    state.textContent = "This browser lets no page copy: the command is selected.";
+  }
 }
 
 function redraw() {
@@ -50,20 +99,32 @@ function changeRows(old, fresh) {
   rows.slice(newer.length).forEach((row) => row.remove());
 }
 
+function changeTable(old, fresh) {
+  const table = old.querySelector("table");
+  if (table && same(table.caption, fresh.querySelector("caption")) && same(table.tHead, fresh.querySelector("thead"))) {
+    changeRows(table.tBodies[0], fresh.querySelector("tbody"));
+  } else if (!same(old, fresh)) {
+    old.innerHTML = fresh.innerHTML;
+  }
+}
+
+function changePairs(old, fresh) {
+  const newer = fresh.querySelectorAll("select");
+  old.querySelectorAll("select").forEach((list, i) => {
+    if (list.textContent === newer[i].textContent) return;
+    const chosen = list.value;
+    list.innerHTML = newer[i].innerHTML;
+    list.value = chosen;
+  });
+  showPair(old);
+}
+
 // Only what has changed is touched, and no block is replaced: focus and scrolling stay where they are.
 function change(old, fresh) {
-  if (old.tagName !== "FIGURE") {
-    const table = old.querySelector("table");
-    if (table && same(table.caption, fresh.querySelector("caption")) && same(table.tHead, fresh.querySelector("thead"))) {
-      changeRows(table.tBodies[0], fresh.querySelector("tbody"));
-    } else if (!same(old, fresh)) {
-      old.innerHTML = fresh.innerHTML;
-    }
-    return;
-  }
-  const values = old.querySelector("script");
-  const changed = values.textContent !== fresh.querySelector("script").textContent;
-  values.textContent = fresh.querySelector("script").textContent;
+  if (!values(old)) return changeTable(old, fresh);
+  const changed = values(old).textContent !== values(fresh).textContent;
+  values(old).textContent = values(fresh).textContent;
+  if (old.matches(".pairs")) return changePairs(old, fresh);
   old.querySelector("figcaption").textContent = fresh.querySelector("figcaption").textContent;
   if (changed && old.dataset.drawn) draw(old);
 }
@@ -123,6 +184,8 @@ function follow() {
   listen();
 }
 
+addEventListener("change", ({ target }) => target.matches(".pairs select") && showPair(target.closest(".pairs")));
+addEventListener("click", ({ target }) => target.matches("button.copy") && copy(target));
 dark.addEventListener("change", redraw);
 addEventListener("beforeprint", () => document.querySelectorAll("figure").forEach((figure) => {
   figure.dataset.drawn = "yes";

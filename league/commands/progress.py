@@ -10,12 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from league.commands.tables import clock, ratings_table
+from league.commands.ladder import ratings_table
 from league.config.experiment import Config
 from league.liveness import is_dead
 from league.measures import newest_snapshots, score_against_initial, yardsticks
 from league.query import score_text
 from league.standing import Standing
+from league.words import clock
 from matchmaking.payoff import Score
 from storage.records import Phase, Snapshot, Worker
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from dashboards.tables import Column, render
 from league import results
 from league.commands.options import parse, positional
-from league.commands.tables import wrapped
 from league.config.schema import ConfigError
+from league.words import wrapped
 from matchmaking import priors
 from matchmaking.bounds import Unbounded
 from matchmaking.likelihood import NotConverged

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from typing import get_args
 
 from dashboards.tables import Column, render
+from dashboards.terminal import gauge, is_lit, spark, styles
 from league.commands.options import Where, parse
-from league.commands.tables import clock
-from league.config.sections import Rating
+from league.config.sections import Budget, Rating
 from league.course import course
 from league.liveness import leader, processes
 from league.lives import Life, life
 from league.query import Open, score_text
 from league.share import words
 from league.standing import Standing, turn_scores
+from league.words import clock
 from matchmaking.payoff import Score
 from matchmaking.roles import FIXED
 from matchmaking.schedule import Kind, Learnt, Schedule, remaining
@@ -31,6 +32,9 @@ PLAYERS = (
     Column("player", whole=True), "team", "role", "iteration", "steps", Column("now", whole=True),
     Column("trained", whole=True), "group",
 )  # fmt: skip
+SCORE = Column("course", "score", whole=True)
+RECENT = 200
+"""Iterations over which a terminal shows the score in training."""
 WORKERS = ("worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("seen s ago", decimals=1))
 
 
@@ -38,7 +42,7 @@ def status(args: list[str]) -> int:
     """Tell how a league stands."""
     options = parse(Where, args, "status", "Whether it runs, who learns, who is paused, which jobs wait or failed.")
     with options.open() as opened:
-        print(report(opened, whole_errors="--debug" in sys.argv))
+        print(report(opened, whole_errors="--debug" in sys.argv, lit=is_lit()))
     return 0
 
 
@@ -57,6 +61,7 @@ class Facts:
     paused: Sequence[str]
     failed: Sequence[str]
     workers: Sequence[dict]
+    progress: Mapping[str, float]  # of each group's training, of what there is a budget for: 0 to 1
 
     @property
     def jobs(self) -> str:
@@ -81,22 +86,28 @@ def facts(opened: Open, whole_errors: bool = False) -> Facts:
         [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None],
         [_set_aside(job, whole_errors) for job in store.jobs(league, "failed")],
         [_worker(worker, now) for worker in working],
+        _progress(opened, Standing(players, checkpoints=checkpoints)),
     )  # fmt: skip
 
 
-def report(opened: Open, whole_errors: bool = False) -> str:
-    """A league's status as text; of an error its first line, or all of it."""
+def report(opened: Open, whole_errors: bool = False, lit: bool = False) -> str:
+    """A league's status as text; of an error its first line, or all of it. Where `lit`, for a terminal."""
     found = facts(opened, whole_errors)
+    players, columns, progress = found.players, PLAYERS, []
+    if lit:
+        players, columns = _lit(opened, players), (*PLAYERS[:5], SCORE, *PLAYERS[5:])
+        progress = [f"{name:<12} {gauge(share)}" for name, share in found.progress.items()]
     parts = [
         *_listed("Curriculum", found.stages),
         f"League {found.league}: {found.runs or 'stopped'}\nJobs: {found.jobs}",
-        render(found.players, PLAYERS),
+        render(players, columns, lit=lit),
+        *_listed("Training budget", progress),
         found.share,
         *_listed("Phases", found.phases),
         *_listed("Lives", found.lives),
         *_listed("Paused", found.paused),
         *_listed("Set aside", found.failed),
-        *([render(found.workers, WORKERS)] if found.workers else []),
+        *([render(found.workers, WORKERS, lit=lit)] if found.workers else []),
     ]
     return "\n\n".join(parts)
 
@@ -194,13 +205,39 @@ def _life(player: Player, now: Life) -> str:
     return f"{told}; then it begins anew from {whence}{chance}"
 
 
+def _schedule(opened: Open) -> Schedule:
+    schedules = {kind: Schedule(kind) for kind in get_args(Kind)}
+    return schedules.get(opened.setting("training", "schedule", "kind", otherwise=""), Schedule())
+
+
+def _progress(opened: Open, standing: Standing) -> dict[str, float]:
+    """The part of their budget that groups have had, of time or of steps, whichever ends first."""
+    budget = Budget(
+        opened.setting("budget", "train", otherwise="") or None, opened.setting("budget", "steps", otherwise=0) or None
+    )
+    found = {}
+    for group in standing.groups:
+        seconds, steps = standing.spent(group, _schedule(opened))
+        parts = [seconds / budget.train_seconds, *([steps / budget.steps] if budget.steps else [])]
+        found[f"group {group}"] = min(1.0, max(parts))
+    return found if budget.train or budget.steps else {}
+
+
+def _lit(opened: Open, players: Sequence[dict]) -> list[dict]:
+    """Players in their colours, with the score in training over their newest iterations, from 0 to 1."""
+    colours, found = styles(row["player"] for row in players), []
+    for row in players:
+        points = opened.store.curves(opened.league, row["player"], after=row["iteration"] - RECENT)
+        scores = [point.values["score"] for point in points if "score" in point.values]
+        found.append({**row, SCORE.key: spark(scores, 0.0, 1.0), "style": colours[row["player"]]})
+    return found
+
+
 def _share(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Checkpoint]) -> str:
     """What rating matches have taken of the devices that train, since the first of which that is known."""
     rated, first = opened.store.booked(opened.league)
-    schedules = {kind: Schedule(kind) for kind in get_args(Kind)}
-    schedule = schedules.get(opened.setting("training", "schedule", "kind", otherwise=""), Schedule())
     asked = opened.setting("rating", "share", otherwise=Rating().share)
-    since = Standing(players, checkpoints=checkpoints).trained(schedule) - first
+    since = Standing(players, checkpoints=checkpoints).trained(_schedule(opened)) - first
     return words(asked, max(0.0, since), rated)
 
 

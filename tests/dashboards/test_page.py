@@ -5,7 +5,7 @@ import hashlib
 
 import pytest
 
-from dashboards.page import Page, Picture, Rows, Section, body, document, script
+from dashboards.page import Page, Pairs, Picture, Rows, Section, body, document, script
 from dashboards.tables import Column, render
 from tests.markup import Markup
 
@@ -14,7 +14,8 @@ FIGURE = {"data": [{"type": "scatter", "x": [1], "y": [2], "name": NASTY}], "lay
 ROWS = Rows(
     render([{"name": NASTY, "elo": 1200.4}], [Column("name", whole=True), Column("elo", decimals=0)], "html"), NASTY
 )
-PAGE = Page(NASTY, NASTY, [Section("one", NASTY, [NASTY, Picture(FIGURE, NASTY), ROWS])], "7")
+PAIRS = Pairs([NASTY], ["b"], ["match"], {NASTY: {"b": [["1", NASTY]]}}, NASTY)
+PAGE = Page(NASTY, NASTY, [Section("one", NASTY, [NASTY, Picture(FIGURE, NASTY), ROWS, PAIRS])], "7")
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -23,6 +24,7 @@ def test_whatever_a_name_holds_is_text(live):
     assert page.headings == [("h1", NASTY), ("h2", NASTY)]
     assert page.figures == {"one-1": FIGURE}
     assert page.captions == {"one-1": NASTY}
+    assert page.data == [{"heads": ["match"], "found": {NASTY: {"b": [["1", NASTY]]}}}]
     assert page.tables[""] == [["name", "elo"], [NASTY, "1200"]]
     assert len(page.scripts) == 2  # Plotly's and its own
     assert len(page.ids) == len(set(page.ids))

@@ -120,6 +120,12 @@ def test_html_has_a_tables_cells_and_names_rows_and_columns():
     assert '<td colspan="2">(none)</td>' in render([], ["a", "b"], "html")
 
 
+def test_html_has_a_button_for_a_command_and_nothing_where_there_is_none():
+    text = render([{"type": "ls > x"}, {"type": None}], [Column("type", typed=True)], "html")
+    assert '<td><button type="button" class="copy">ls &gt; x</button></td>' in text
+    assert "<td></td>" in text
+
+
 def test_an_unknown_format_names_those_there_are():
     with pytest.raises(ValueError, match="no format 'xml'; choose one of: table, json, csv, html"):
         render(ROWS, format="xml")

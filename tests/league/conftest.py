@@ -1,4 +1,5 @@
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -62,3 +63,11 @@ def tiny_league(tmp_path_factory):
     done = call("run", *TINY, "--steps", "33000", "--budget.rate", "60s", cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
+
+
+@pytest.fixture(scope="module")
+def port() -> int:
+    """One that is free."""
+    with socket.socket() as asked:
+        asked.bind(("127.0.0.1", 0))
+        return asked.getsockname()[1]

@@ -1,20 +1,14 @@
 """`league dash` as a browser meets it: a process of its own, asked over HTTP."""
 
-import http.client
-import signal
 import socket
-import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from email.message import Message
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from storage.store import Store
-from tests.league.conftest import call, start
+from tests.league.conftest import call
 from tests.league.leagues import filled, finish, match
+from tests.league.served import Served
 from tests.markup import Markup
 
 
@@ -25,74 +19,10 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def port() -> int:
-    """One that is free."""
-    with socket.socket() as asked:
-        asked.bind(("127.0.0.1", 0))
-        return asked.getsockname()[1]
-
-
-class Answer(NamedTuple):
-    status: int
-    headers: Message
-    body: str
-
-
-def _events(stream: http.client.HTTPResponse) -> Iterator[tuple[str, str]]:
-    kind = ""
-    while line := stream.readline().decode():
-        key, _, value = line.strip().partition(": ")
-        if key == "event":
-            kind = value
-        elif key == "data":
-            yield kind, value
-
-
-class Served:
-    """A server that runs until it is stopped."""
-
-    def __init__(self, folder, port: int):
-        self.port = port
-        said = folder / "out.txt"
-        before = len(said.read_text()) if said.exists() else 0
-        self.process = start("dash", "--port", str(port), cwd=folder)
-        deadline = time.monotonic() + 60
-        while f":{port}/" not in said.read_text()[before:]:
-            assert self.process.poll() is None, said.read_text()
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-
-    def ask(self, path: str, method: str = "GET", **headers: str) -> Answer:
-        with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)) as connection:
-            connection.request(method, path, headers=headers)
-            answer = connection.getresponse()
-            return Answer(answer.status, answer.headers, answer.read().decode())
-
-    def page(self, path: str = "/") -> Markup:
-        answer = self.ask(path)
-        assert answer.status == 200
-        return Markup(answer.body)
-
-    @contextmanager
-    def events(self) -> Iterator[Iterator[tuple[str, str]]]:
-        """Server-sent events as they come, kind and data."""
-        with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)) as connection:
-            connection.request("GET", "/events")
-            with connection.getresponse() as stream:
-                assert stream.headers["Content-Type"].startswith("text/event-stream")
-                yield _events(stream)
-
-    def stop(self) -> int:
-        self.process.send_signal(signal.SIGINT)
-        return self.process.wait(30)
-
-
-@pytest.fixture
 def served(folder, port):
     running = Served(folder, port)
     yield running
-    running.process.kill()
-    running.process.wait()
+    running.kill()
 
 
 def games(page: Markup) -> dict[str, str]:

@@ -9,12 +9,14 @@ import pytest
 
 import league
 from league.commands import tables
-from league.commands.tables import clock, ratings_table
+from league.commands.ladder import ratings_table
+from league.commands.ratings import ratings
 from league.config import presets
 from league.measures import can_meet, initial_opponents, milestones, score_against_initial, yardsticks
 from league.query import Open, choose
 from league.rated import rating_rows, side_score
 from league.standing import Standing
+from league.words import clock
 from matchmaking.ladder import Ladder, Pool
 from matchmaking.payoff import score_interval
 from storage.errors import StorageError
@@ -187,24 +189,24 @@ def rated_log():
 
 
 def test_what_is_not_known_is_not_printed_as_a_number(printed):
-    table = printed(tables.ratings, log=rated_log())
+    table = printed(ratings, log=rated_log())
     (line,) = [line for line in table.splitlines() if "blue@4" in line]
     assert line.split() == ["–", "blue@4", "–", "–", "1", "1.000", "–", "0"]
     assert "–: not yet known (an interval wider than 1000 Elo, or no game)." in " ".join(table.split())
-    rows = {row["name"]: row for row in json.loads(printed(tables.ratings, "--format", "json"))}
+    rows = {row["name"]: row for row in json.loads(printed(ratings, "--format", "json"))}
     assert (rows["blue@4"]["known"], rows["blue@0"]["known"]) == (False, True)
     assert rows["blue@4"]["high"] - rows["blue@4"]["low"] > 1000
     assert [r["name"] for r in rows.values()][-1] == "pusher"  # it has not played
 
 
 def test_voids_are_shown_by_their_cause_and_flagged_above_the_setting(printed):
-    table = printed(tables.ratings, log=rated_log())
+    table = printed(ratings, log=rated_log())
     cells = {line.split()[1]: line.split()[7:] for line in table.splitlines() if "@" in line}
     # Of red@1's 220 episodes 10 were its own doing and 10 of unclear cause; the setting is 5 %.
     assert cells["red@1"] == ["4.5", "+", "4.5?"]
     assert cells["blue@0"] == ["0.0", "+", "4.5"]
     assert "?: above" in " ".join(table.split())
-    rows = json.loads(printed(tables.ratings, "--format", "json"))
+    rows = json.loads(printed(ratings, "--format", "json"))
     assert {row["name"]: row["flagged"] for row in rows if row["flagged"]} == {"red@1": "?"}
     pool = [snapshot(BLUE, 0), snapshot(RED, 0)]
     worse = Ladder([], [match("blue@0", "red@0", 5, 5, voids=10, voids_b=9)])
@@ -213,7 +215,7 @@ def test_voids_are_shown_by_their_cause_and_flagged_above_the_setting(printed):
 
 def test_what_the_first_side_is_worth_is_said_in_elo_and_in_words(printed):
     uneven = replace(match("blue@1", "red@1", 100, 100), side_wins=80, side_losses=20)
-    text = " ".join(printed(tables.ratings, log=[uneven]).split())
+    text = " ".join(printed(ratings, log=[uneven]).split())
     assert "Playing the first side is worth +2" in text
     assert "Elo: against an equal it scores 80.0 %, not 50." in text
 
@@ -246,26 +248,26 @@ def test_other_ladders_are_named_with_the_way_to_see_them(printed):
         match("blue@1", "blue@0", 6, 2, arena=C._replace(arena="sumo-1v1")),
         match("blue@1", "blue@0", 4, 4, arena=C._replace(config_hash="abad1dea")),
     ]  # fmt: skip
-    text = printed(tables.ratings, log=log)
+    text = printed(ratings, log=log)
     assert "Elo with 95 % intervals in sumo-2v2 under c (rules abad1dea)" in text
     assert "sumo-1v1 under c (rules c0ffee00): league ratings --arena sumo-1v1\n" in text
     assert "sumo-2v2 under warp (rules c0ffee00): league ratings --engine warp\n" in text
     assert "sumo-2v2 under c (rules c0ffee00): older rules, --all" in text
-    assert "in sumo-1v1 under c" in printed(tables.ratings, "--arena", "sumo-1v1")
-    everything = printed(tables.ratings, "--all")
+    assert "in sumo-1v1 under c" in printed(ratings, "--arena", "sumo-1v1")
+    everything = printed(ratings, "--all")
     assert everything.count("Elo with 95 %") == 4
     assert "Other ladders" not in everything
-    assert len(json.loads(printed(tables.ratings, "--all", "--format", "json"))) == 4 * 7
+    assert len(json.loads(printed(ratings, "--all", "--format", "json"))) == 4 * 7
 
 
 def test_a_league_without_matches_says_so(printed):
-    assert "No rating match has been played yet." in printed(tables.ratings)
+    assert "No rating match has been played yet." in printed(ratings)
 
 
 def test_one_team_is_measured_by_its_success(printed):
     flag = C._replace(arena="flag")
     log = [match("blue@4", None, 15, 1, arena=flag), match("blue@0", None, 2, 6, arena=flag, voids=2)]
-    text = printed(tables.ratings, log=log)
+    text = printed(ratings, log=log)
     assert "Success with 95 % intervals in flag under c" in text
     lines = [line.split() for line in text.splitlines() if "@" in line]
     assert lines[0][:3] == ["1", "blue@4", "0.938"]
@@ -340,7 +342,7 @@ def test_a_summary_row_per_snapshot_even_where_nothing_was_played():
 def test_a_query_loads_neither_what_trains_nor_what_draws():
     heavy = ("jax", "torch", "mujoco", "pandas", "rerun", "agents", "arenas")
     program = (
-        "import sys, league.commands.tables, league.commands.status, league.standing\n"
+        "import sys, league.commands.ratings, league.commands.tables, league.commands.status, league.standing\n"
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"

@@ -192,7 +192,7 @@ def test_what_there_is_not_is_told_in_one_line(ran, args, says):
 def test_the_table_needs_nothing_heavy(place):
     heavy = ("jax", "torch", "mujoco", "pandas", "scipy", "pyarrow", "rich")
     program = (
-        f"import sys; from league.commands.tables import ratings; ratings(['--store', {place!r}])\n"
+        f"import sys; from league.commands.ratings import ratings; ratings(['--store', {place!r}])\n"
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)

@@ -91,6 +91,19 @@ def test_every_figure_has_its_data_and_words(folder, monkeypatch):
     assert opponents[1][:2] == ["red (as it is now)", "1.000"]
 
 
+def test_a_pair_has_its_newest_matches(folder, monkeypatch):
+    with Store.open(folder / "league-data") as store:
+        film = store.blobs.put(b"film")
+        finish(store, matches=[match("blue@4", "red@4", i, 20 - i) for i in range(11)])
+        finish(store, matches=[match("blue@4", "red@4", 3, 1, recording=film)])
+    (pairs,) = reported(folder, monkeypatch).data
+    assert pairs["heads"] == ["match", "a", "b", "w-d-l", "played", "to watch it"]
+    rows = pairs["found"]["blue@4"]["red@4"]
+    assert [row[0] for row in rows] == [str(7 + i) for i in range(12, 2, -1)]  # of 13 the newest ten
+    assert rows[0][1:4] == ["blue@4", "red@4", "3-0-1"]
+    assert [row[5] for row in rows[:2]] == ["league watch 19", ""]
+
+
 def test_what_went_wrong_is_told_whole(folder, monkeypatch):
     text = "\n".join(reported(folder, monkeypatch).notes)
     assert "broken, tried 1 times: no <good>\n    at all" in text
