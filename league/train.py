@@ -406,7 +406,7 @@ class Trainer:
         """Whether the turn should end here: the group's budget is spent, or a milestone of the clock was passed."""
         if self._spent(turn):
             return True
-        marks = () if self.config.deterministic else self.config.rating.milestone_seconds
+        marks = self.config.milestones.values()
         return any(before[n].seconds < mark <= self.counters[n].seconds for n in turn.learners for mark in marks)
 
     def _is_over(self, phase: Phase | None) -> bool:
@@ -469,7 +469,7 @@ class Trainer:
             return player.name in self._frozen
         due = next_due(last.iteration, self.config.training.snapshots_per_doubling)
         on_axis = now.iteration >= due and not role.has_lives
-        marks = () if self.config.deterministic else self.config.rating.milestone_seconds
+        marks = self.config.milestones.values()
         passed = any(last.seconds < mark <= now.seconds for mark in marks)
         hands_over = self._handed_over and player.name in turn.learners
         return on_axis or passed or hands_over or self._spent(turn)

@@ -190,7 +190,8 @@ def curves(args: list[str]) -> int:
         points = opened.points(options.player)
     rows = curve_rows(sorted(points, key=lambda p: (p.iteration, p.player)))  # of several players the newest of each
     known = {key for row in rows for key in row}
-    print(_newest(rows, [c for c in CURVES if (c if isinstance(c, str) else c.key) in known], options, args, "curves"))
+    columns = [c for c in CURVES if not known or (c if isinstance(c, str) else c.key) in known]  # none has learnt yet
+    print(_newest(rows, columns, options, args, "curves"))
     return 0
 
 
