@@ -13,6 +13,7 @@ environment.prepare()
 
 COMMANDS = {
     "run": ("league.commands.run", "run a league: train, play rating matches, go on where it stopped"),
+    "worker": ("league.commands.worker", "work for a league that runs, from any host that reaches its store"),
     "stop": ("league.commands.stop", "stop a running league, on whatever host it runs"),
     "status": ("league.commands.status", "what runs, who learns, which jobs wait or were set aside"),
     "init": ("league.commands.init", "write a commented league.toml"),

@@ -12,6 +12,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from typing import Literal
@@ -60,7 +61,7 @@ class Manager:
         self.store, self.where, self.config = store, where, config
         self.host = socket.gethostname()
         self.id = f"{self.host}:{os.getpid()}:manager"
-        self.stopping = False
+        self.stopping = self.hurried = False
         self.stage: Stage = "training"
         self._slots = [
             _Slot(kinds, number)
@@ -181,16 +182,17 @@ class Manager:
         slot.process = None
 
     def _end_workers(self) -> None:
-        """Ask all to finish their iteration and commit; end those that do not."""
+        """Ask all to finish their iteration and commit; end those that do not, and all at a second Ctrl-C."""
         alive = [slot.process for slot in self._slots if slot.process is not None and slot.process.is_alive()]
         for process in alive:
             process.terminate()
         deadline = time.monotonic() + GRACE
+        with suppress(KeyboardInterrupt):
+            while not self.hurried and time.monotonic() < deadline and any(p.is_alive() for p in alive):
+                time.sleep(0.05)
         for process in alive:
-            process.join(max(0.0, deadline - time.monotonic()))
-            if process.is_alive():
-                process.kill()
-                process.join()
+            process.kill()
+            process.join()
 
     def _release_orphans(self) -> None:
         """Give back what dead processes of this host hold, rather than wait until their leases expire.
@@ -249,6 +251,7 @@ class Manager:
         time.sleep(2 * BEAT)
 
     def _on_signal(self, number: int, frame: object) -> None:
-        if self.stopping:
+        if self.stopping and not self.hurried:
+            self.hurried = True
             raise KeyboardInterrupt
         self.stopping = True

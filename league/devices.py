@@ -3,7 +3,11 @@
 import os
 import subprocess
 import time
+from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
+
+from league.config.schema import ConfigError
 
 
 @cache
@@ -12,11 +16,23 @@ def gpus() -> tuple[str, ...]:
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return tuple(name.strip() for name in visible.split(",") if name.strip())
-    try:
-        listing = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=30, check=True).stdout
-    except (OSError, subprocess.SubprocessError):
-        return ()
-    return tuple(str(i) for i, line in enumerate(line for line in listing.splitlines() if line.startswith("GPU ")))
+    return tuple(str(i) for i, _ in enumerate(line for line in _driver("-L") if line.startswith("GPU ")))
+
+
+def use(numbers: Sequence[int]) -> None:
+    """Leave this process, and all that it starts, only these of the GPUs that it may use; none given: all of them.
+
+    Raises ConfigError, one line, for a GPU that is not there or is named twice.
+    """
+    found = gpus()
+    if not numbers:
+        return
+    if len(set(numbers)) < len(numbers) or max(numbers) >= len(found):
+        there = f"there are {len(found)}, numbered from 0" if found else "there is no GPU here"
+        asked = ",".join(map(str, numbers))
+        raise ConfigError(("devices",), f"--devices {asked}: {there}; name each once, or leave --devices out")
+    os.environ["CUDA_VISIBLE_DEVICES"] = ",".join(found[number] for number in numbers)
+    gpus.cache_clear()
 
 
 def take(number: int) -> None:
@@ -24,6 +40,31 @@ def take(number: int) -> None:
     found = gpus()
     if found:
         os.environ["CUDA_VISIBLE_DEVICES"] = found[number % len(found)]
+
+
+class Memory(NamedTuple):
+    """How full a GPU is."""
+
+    name: str  # as CUDA_VISIBLE_DEVICES has it
+    used: float  # GB
+    total: float  # GB
+
+
+def memory() -> list[Memory]:
+    """How full the NVIDIA GPUs of this machine are, whoever uses them; nothing where there is no driver."""
+    rows = _driver("--query-gpu=index,memory.used,memory.total", "--format=csv,noheader,nounits")
+    found = [row.split(",") for row in rows]
+    mib = 2**20 / 1e9
+    return [Memory(row[0].strip(), float(row[1]) * mib, float(row[2]) * mib) for row in found if len(row) == 3]
+
+
+def _driver(*question: str) -> list[str]:
+    """What NVIDIA's tool answers, line by line; nothing where there is none."""
+    try:
+        done = subprocess.run(["nvidia-smi", *question], capture_output=True, text=True, timeout=30, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return []
+    return done.stdout.splitlines()
 
 
 def used(backend: str) -> float:

@@ -48,7 +48,7 @@ class Ending:
 
     @property
     def _marks(self) -> tuple[float, ...]:
-        return () if self.config.deterministic else self.config.rating.milestone_seconds
+        return tuple(self.config.milestones.values())
 
     def _is_over(self, points: Sequence[CurvePoint]) -> bool:
         """Whether the phase's learner has learnt as much as the phase asks for; the plan finds the same afterwards."""

@@ -59,6 +59,8 @@ def next_matches(config: Config, standing: Standing) -> Plan:
         return Plan()
     rating, due = config.rating, None
     if somebody_trains(config, standing):
+        if config.deterministic and config.budget.success is None:
+            return Plan()  # how much has been learnt when a batch is due is for the clock to say
         due = booking(rating.share, standing.trained(config.training.schedule), standing.batches)
         if due is None or all(s.initial for s in standing.snapshots if s.player):
             return Plan()

@@ -78,7 +78,7 @@ def _success(standing: "Standing", player: Player, quota: int) -> float:
 def milestones(config: "Config", standing: "Standing", player: str) -> dict[str, Snapshot]:
     """A player's first snapshot after each milestone of its training time that it has passed."""
     found = {}
-    for name, mark in zip(config.rating.milestones, config.rating.milestone_seconds, strict=True):
+    for name, mark in config.milestones.items():
         late = [s for s in standing.history(player) if s.seconds >= mark]
         if late:
             found[name] = late[0]

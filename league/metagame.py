@@ -88,6 +88,8 @@ def table(
     ]
     if not kept:
         raise StorageError("No rating match has been played yet, so there is no payoff table: `league run` plays them.")
+    if not players:
+        raise StorageError("The league has rated snapshots and no players; `league verify` says what else is damaged.")
     rosters = list(dict.fromkeys(p.roster for p in sorted(players, key=lambda p: p.team)))
     sides = [rosters[0], rosters[-1]]
     named = [

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -47,15 +48,25 @@ class Post:
     config: str  # TOML
     kinds: tuple[str, ...]  # of jobs that it takes
     number: int  # among the workers of these kinds
-    parent: int  # process id of its manager: it ends when that one is gone
+    parent: int | None  # process id of its manager: it ends when that one is gone
     devices: int = 1  # that its jobs use; where they are several, processes of its own take them
+    leader: str = ""  # without a parent: who leads the league; it ends when that one does so no longer
 
 
 def work(post: Post) -> None:
-    """Work on the jobs of these kinds until told to stop: by SIGTERM, by `league stop`, or by the parent's death."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the manager decides
+    """Work on the jobs of these kinds until told to stop: by SIGTERM, by `league stop`, or by its manager's end.
+
+    A worker with a parent leaves Ctrl-C to that one; of one without, the first is a SIGTERM and the second its end.
+    """
     stopping = threading.Event()
+
+    def interrupted(number: int, frame: object) -> None:
+        if stopping.is_set():
+            os._exit(130)
+        stopping.set()
+
     signal.signal(signal.SIGTERM, lambda *_: stopping.set())
+    signal.signal(signal.SIGINT, interrupted if post.parent is None else signal.SIG_IGN)
     if post.devices == 1:
         devices.take(post.number)
     environment.prepare()
@@ -225,8 +236,9 @@ class Worker:
 
     def _match(self, lease: Lease, task: RatingMatch) -> None:
         referee = self._referee()
-        self.status = {"doing": "rating", "pairs": len(task.pairs)}
+        self.status, began = {**self.status, "doing": "rating", "pairs": len(task.pairs)}, time.monotonic()
         found = referee.play(self.store, task)
+        self.status["steps_per_second"] = sum(match.steps for match in found) / (time.monotonic() - began)
         matches = [replace(match, seconds=referee.seconds / len(found), due=task.due) for match in found]
         self._patiently(lambda: self.store.finish(lease, matches=matches))
 
@@ -258,7 +270,7 @@ class Worker:
         renewed = time.monotonic()
         kinds, league = "+".join(self.post.kinds), self.config.league
         while not self._ended.wait(BEAT):
-            if os.getppid() != self.post.parent:  # the manager is gone: what is under way is finished and committed
+            if self._left_alone():  # what is under way is finished and committed
                 self.stopping.set()
             if started is None:
                 started = _quietly(self.store.now)
@@ -270,6 +282,14 @@ class Worker:
                 renewed = time.monotonic()
                 if _quietly(self.store.renew, lease, self.config.workers.lease) is False:
                     self._lost = self.lease == lease
+
+    def _left_alone(self) -> bool:
+        """Whether its manager is gone; one of another host, as far as a store that is there can tell."""
+        if self.post.parent is not None:
+            return os.getppid() != self.post.parent
+        with suppress(StorageError):
+            return (self.store.leader(self.config.league) or ("",))[0] != self.post.leader
+        return False
 
 
 def _quietly(verb: Callable[..., R], *args: Any) -> R | None:

@@ -8,6 +8,7 @@ Nothing else may be in it. Whatever comes from an archive is checked while it is
 ever extracted to a path that an archive names, and everything is streamed, so its size says nothing of the memory used.
 """
 
+import errno
 import hashlib
 import json
 import re
@@ -20,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from storage.errors import StorageError
+from storage.errors import StorageError, disk_error
 from storage.files import opened
 
 FORMAT = 1
@@ -233,6 +234,10 @@ class Archive:
                 raise self.bad("this is no archive of leagues") from error
             what = "it is cut off" if "not a zip file" in str(error) else f"it is damaged: {error}"
             raise self.bad(what) from error
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise disk_error(f"Cannot read {self.where}", error) from error
+            raise self.bad("it is damaged: it tells of a place before its beginning") from error
         except RecursionError as error:
             raise self.bad("it is damaged: brackets within brackets without end") from error
         except _DAMAGED as error:

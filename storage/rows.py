@@ -26,6 +26,9 @@ def columns(record: type, table: sa.Table) -> list[sa.Column[Any]]:
 def record_from(record: type[R], row: Sequence[Any]) -> R:
     """The record in a row of its `columns`; raises TypeError or ValueError where the row cannot be one."""
     values = list(row)
+    for at, name, types in _plain(record):  # SQLite keeps anything anywhere
+        if not isinstance(values[at], types):
+            raise TypeError(f"{name} is {str(values[at])[:40]!r}")
     for at, width, convert in _conversions(record):
         values[at : at + width] = [convert(values[at : at + width])]
     return record(*values)
@@ -197,6 +200,21 @@ _FROM: dict[str, Callable[[list[Any]], Any]] = {
     "initial": lambda values: bool(values[0]),
     **dict.fromkeys(("payload", "values", "since", "until", "status", "versions"), _mapping),
 }
+
+
+_TYPES: dict[Any, tuple[type, ...]] = {str: (str,), int: (int,), float: (float, int), Mapping[str, Any]: (dict,)}
+_TYPES |= {kind | None: (*types, type(None)) for kind, types in _TYPES.items()}
+
+
+@functools.cache
+def _plain(record: type) -> list[tuple[int, str, tuple[type, ...]]]:
+    """Where in a row what is kept as it is lies, how it is called and of which types it is."""
+    found, at = [], 0
+    for f in fields(record):
+        if f.type in _TYPES:
+            found.append((at, f.name, _TYPES[f.type]))
+        at += len(_SPREAD.get(f.name, (f.name,)))
+    return found
 
 
 @functools.cache

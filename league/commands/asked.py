@@ -38,6 +38,10 @@ class RunOptions:
     """Train for so long from now on, e.g. 10m, whatever the budget says."""
     steps: int | None = field(default=None, metadata={"low": 1})
     """Train for so many environment steps from now on, whatever the budget says."""
+    workers: int | None = field(default=None, metadata={"low": 1, "high": 64})
+    """Processes that train; the same as --workers.train."""
+    devices: tuple[int, ...] = field(default=(), metadata={"low": 0})
+    """The GPUs to use, by their numbers, e.g. 0,1 (none given: all that this process may use)."""
     detach: bool = False
     """Run in the background; `league status` and `league stop` reach it."""
 
@@ -136,6 +140,8 @@ def _budgeted(chosen: RunOptions, given: flags.Given) -> flags.Given:
         stands_for["budget", "steps"] = ("--steps", str(chosen.steps))
     if chosen.duration is not None:
         stands_for["budget", "train"] = ("--for", chosen.duration)
+    if chosen.workers is not None:
+        stands_for["workers", "train"] = ("--workers", str(chosen.workers))
     for key, (flag, value) in stands_for.items():
         if given.get(key, value) != value:
             raise ConfigError(key, f"{flag} {value} contradicts --{'.'.join(key)} {given[key]}: give one of them")

@@ -43,8 +43,9 @@ def _left(each: Field, hint: Any) -> str:
 
 def _told(each: Field, note: str) -> str:
     default = absent(each, None)
-    plain = default not in (MISSING, None, False) and not each.metadata.get("positional")
-    return f"{_flat(note)} [{default}]" if plain else _flat(note)
+    plain = default not in (MISSING, None, False, ()) and not each.metadata.get("positional")
+    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+    return f"{_flat(note)} [{shown}]" if plain else _flat(note)
 
 
 def groups(config: Any, prefix: Key = ()) -> Iterator[tuple[str, list[str]]]:

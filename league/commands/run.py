@@ -8,7 +8,7 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from league import curriculum
+from league import curriculum, devices
 from league.commands.asked import Asked, RunOptions, read
 from league.commands.manage import Task, manage
 from league.commands.progress import summary
@@ -38,6 +38,7 @@ def run(args: list[str]) -> int:
 
         print(help.page("run", WHAT, RunOptions, config))
         return 0
+    devices.use(asked.options.devices)
     _refuse_second(where, config)
     try:
         prepared = prepare(where, config, debug="--debug" in sys.argv)

@@ -1,12 +1,15 @@
 """`league status`: whether it runs, who learns and what ends that, who is paused, what was set aside, who works."""
 
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import get_args
 
 from dashboards.tables import Column, render
 from dashboards.terminal import gauge, is_lit, spark, styles
+from league import devices
 from league.commands.options import Where, parse
 from league.config.sections import Budget, Rating
 from league.course import course
@@ -35,7 +38,10 @@ PLAYERS = (
 SCORE = Column("course", "score", whole=True)
 RECENT = 200
 """Iterations over which a terminal shows the score in training."""
-WORKERS = ("worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("seen s ago", decimals=1))
+WORKERS = (
+    "worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("job", whole=True),
+    Column("lease s", decimals=0), Column("seen s ago", decimals=1),
+)  # fmt: skip
 
 
 def status(args: list[str]) -> int:
@@ -59,9 +65,11 @@ class Facts:
     phases: Sequence[str]
     lives: Sequence[str]  # of players whose role has them
     paused: Sequence[str]
+    again: Sequence[str]  # jobs that failed and are tried again
     failed: Sequence[str]
     workers: Sequence[dict]
     progress: Mapping[str, float]  # of each group's training, of what there is a budget for: 0 to 1
+    machine: str  # what is left of this one
 
     @property
     def jobs(self) -> str:
@@ -75,6 +83,7 @@ def facts(opened: Open, whole_errors: bool = False) -> Facts:
     players, checkpoints, phases = store.players(league), store.newest_checkpoints(league), store.phases(league)
     working = [worker for worker in processes(store, league) if worker.kinds != "manager"]
     counts, now = store.job_counts(league), store.now()
+    jobs = store.jobs(league, ("queued", "leased", "failed"))
     runs, scores = _running(store, league, working), turn_scores(store, phases)
     return Facts(
         league, runs, {state: counts.get(state, 0) for state in STATES},
@@ -84,9 +93,11 @@ def facts(opened: Open, whole_errors: bool = False) -> Facts:
         [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners],
         _lives(opened, players, checkpoints),
         [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None],
-        [_set_aside(job, whole_errors) for job in store.jobs(league, "failed")],
-        [_worker(worker, now) for worker in working],
+        [_failed(job, whole_errors) for job in jobs if job.failures and job.state != "failed"],
+        [_failed(job, whole_errors) for job in jobs if job.state == "failed"],
+        [_worker(worker, {job.holder: job for job in jobs if job.state == "leased"}, now) for worker in working],
         _progress(opened, Standing(players, checkpoints=checkpoints)),
+        _machine(store),
     )  # fmt: skip
 
 
@@ -106,8 +117,10 @@ def report(opened: Open, whole_errors: bool = False, lit: bool = False) -> str:
         *_listed("Phases", found.phases),
         *_listed("Lives", found.lives),
         *_listed("Paused", found.paused),
+        *_listed("Tried again", found.again),
         *_listed("Set aside", found.failed),
         *([render(found.workers, WORKERS, lit=lit)] if found.workers else []),
+        found.machine,
     ]
     return "\n\n".join(parts)
 
@@ -241,7 +254,7 @@ def _share(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Ch
     return words(asked, max(0.0, since), rated)
 
 
-def _set_aside(job: Job, whole: bool) -> str:
+def _failed(job: Job, whole: bool) -> str:
     return f"{job.key}, tried {job.failures} times: {_error(job.error, whole)}"
 
 
@@ -257,10 +270,21 @@ def _listed(title: str, lines: Sequence[str]) -> list[str]:
     return ["\n".join([f"{title}:", *(f"  {line}" for line in lines)])] if lines else []
 
 
-def _worker(worker: Worker, now: float) -> dict:
-    said = worker.status
+def _worker(worker: Worker, leased: Mapping[str | None, Job], now: float) -> dict:
+    said, job = worker.status, leased.get(worker.id)
     return {
+        "job": "" if job is None else str(job.id) if job.attempt == 1 else f"{job.id}, attempt {job.attempt}",
+        "lease s": None if job is None or job.lease_until is None else job.lease_until - now,
         "worker": worker.id, "doing": said.get("doing", ""), "learners": "+".join(said.get("learners", [])),
         "iteration": said.get("iteration"), "steps/s": said.get("steps_per_second"),
         "seen s ago": round(now - worker.seen, 1),
     }  # fmt: skip
+
+
+def _machine(store: Store) -> str:
+    """How much room there is for the store, as far as it is of this machine, and in the memory of its GPUs."""
+    folders = [Path(store.where).parent, getattr(store.blobs, "folder", None)]
+    free = [shutil.disk_usage(folder).free for folder in folders if folder is not None and folder.is_dir()]
+    told = [f"Disk: {min(free) / 1e9:,.1f} GB free"] if free and "://" not in store.where else []
+    memory = [f"{gpu.used:.1f} of {gpu.total:.1f} GB of GPU {gpu.name} in use" for gpu in devices.memory()]
+    return "; ".join([*told, *memory]) or "Disk: not of this machine"

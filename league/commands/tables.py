@@ -81,7 +81,7 @@ def curves(args: list[str]) -> int:
         points = opened.points(options.player)
     rows = curve_rows(sorted(points, key=lambda p: (p.iteration, p.player)))  # of several players the newest of each
     known = {key for row in rows for key in row}
-    shown = [c for c in CURVES if (c if isinstance(c, str) else c.key) in known]
+    shown = [c for c in CURVES if not known or (c if isinstance(c, str) else c.key) in known]  # none has learnt yet
     print(_newest(rows, shown, options, args, "curves", len(rows)))
     return 0
 

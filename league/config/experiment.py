@@ -18,6 +18,7 @@ from arenas.options import EngineName
 from league.config import flags, toml
 from league.config import stages as parts
 from league.config.build import build
+from league.config.durations import seconds
 from league.config.schema import ConfigError
 from league.config.sections import (
     Budget,
@@ -47,7 +48,7 @@ class Config:
     """Seeds everything that is random."""
     deterministic: bool = False
     """On a CPU, with a budget in steps: end byte for byte the same however often the league is killed. Turns then start
-    from fresh worlds."""
+    from fresh worlds, and rating matches when training has ended; to the end of rating.quota these are the same too."""
     engine: EngineName = "auto"
     """Physics; auto: warp on an NVIDIA GPU, c elsewhere."""
     arena: Any = field(default_factory=lambda: arenas.settings("sumo-2v2"))
@@ -106,6 +107,11 @@ class Config:
             self._check_devices()
         self._check_players()
         check_roles(self.roles, [player.role for player in self.players])
+
+    @property
+    def milestones(self) -> dict[str, float]:
+        """The rating's milestones in seconds of training; none in a deterministic league: it hangs on no clock."""
+        return {} if self.deterministic else {mark: seconds(mark) for mark in self.rating.milestones}
 
     def role(self, name: str) -> Role:
         """The role of that name, with nothing left open."""

@@ -132,11 +132,6 @@ class Rating:
             except ValueError as error:
                 raise ValueError(f"milestones: {error}") from None
 
-    @property
-    def milestone_seconds(self) -> tuple[float, ...]:
-        """The milestones in seconds of training."""
-        return tuple(seconds(mark) for mark in self.milestones)
-
 
 @dataclass(frozen=True)
 class Budget:
@@ -190,8 +185,8 @@ class Workers:
     """How far they stand back from learning: their niceness, as the operating system counts it (0: not at all)."""
     threads: int = field(default=0, metadata={"low": 0, "high": 1024})
     """Threads of the C engine in each (0: all cores)."""
-    lease: float = field(default=30.0, metadata={"low": 3.0, "high": 3600.0})
-    """Seconds after which a silent worker's job goes to another; it says it is alive four times as often."""
+    lease: float = field(default=60.0, metadata={"low": 3.0, "high": 3600.0})
+    """Seconds after which the job of a silent worker goes to another; it says that it holds it four times as often."""
     tries: int = field(default=3, metadata={"low": 1, "high": 100})
     """How often a job that fails is tried before it is set aside; the league goes on without it."""
 

@@ -1,0 +1,107 @@
+"""A short campaign of harm, by the command that runs the long one: nothing lost, doubled or changed."""
+
+import json
+import random
+import subprocess
+import sys
+
+import pytest
+
+from benchmarks import harm
+from benchmarks.faults import add, loaded, possible, written
+from benchmarks.harm import Scene
+from benchmarks.hunted import LEAGUE, Hunted, Lost, findings
+from benchmarks.servers import Line, Server, programs
+from storage.store import Store
+from tests.league.conftest import ENVIRONMENT, ROOT
+from tests.storage.sound import fill
+
+
+def campaign(folder, *args: str) -> dict:
+    out = folder / "counts.json"
+    call = [sys.executable, str(ROOT / "benchmarks" / "faults.py"), "--out", str(out), "--no-disk", *args]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=550, env=ENVIRONMENT, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(out.read_text())
+
+
+@pytest.mark.slow  # a minute or two of two cores
+def test_processes_killed_at_random_moments_cost_nothing(tmp_path):
+    rounds = ("--rounds", "1", "--strikes", "4", "--steps", "3072", "--databases", "sqlite")
+    told = campaign(tmp_path, *rounds, "--harm", "kill_one", "kill_all")
+    assert told["lost"] == []
+    assert told["databases"]["sqlite"]["rounds"] == 1
+    assert told["databases"]["sqlite"]["matches"] > 10
+    assert told["processes killed"] > 3
+
+
+@pytest.mark.slow  # the same
+@pytest.mark.skipif(programs() is None, reason="no PostgreSQL is installed here")
+def test_neither_does_a_database_that_crashes_or_cannot_be_reached(tmp_path):
+    rounds = ("--rounds", "1", "--strikes", "4", "--steps", "3072", "--databases", "postgresql")
+    told = campaign(tmp_path, *rounds, "--harm", "restart_server", "cut_line")
+    assert told["lost"] == []
+    assert sum(told["databases"]["postgresql"]["harm"].values()) > 2
+
+
+def test_counts_add_up_over_runs(tmp_path):
+    out = tmp_path / "counts.json"
+    for killed in (3, 4):
+        figures = loaded(out)
+        add(figures, "sqlite", {"harm": {"train killed": killed, "disk full": 1}, "jobs": 10})
+        add(figures, "postgresql", {"harm": {"manager killed": 1}, "jobs": 1})
+        written(figures, out)
+    figures = loaded(out)
+    assert figures["processes killed"] == 9
+    assert figures["databases"]["sqlite"] == {"rounds": 2, "harm": {"disk full": 2, "train killed": 7}, "jobs": 20}
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A league that nobody runs, with something in every table."""
+    with Store.open(tmp_path, create=True, blobs=tmp_path / "blobs") as store:
+        fill(store)
+    return Scene(Hunted(tmp_path, str(tmp_path), 0), random.Random(0))
+
+
+def test_a_damaged_blob_is_found_and_nothing_else_is(scene, monkeypatch):
+    monkeypatch.setattr(harm, "LEAGUE", "cup")
+    assert set(harm.damage(scene)) == {"blob truncated", "blob with a bit flipped", "blob removed"}
+    assert findings(scene.hunted) == []
+    monkeypatch.setitem(harm._DAMAGE, "left as it is", lambda data, dice: data)
+    with pytest.raises(Lost, match="a blob was left as it is, and league verify says"):
+        harm.damage(scene)
+
+
+def test_only_what_there_is_is_harmed(scene):
+    assert LEAGUE != "cup"
+    assert {do.__name__ for do in possible(scene, [])} == {"kill_one", "kill_all", "freeze", "second_manager"}
+    assert [do.__name__ for do in possible(scene, ["kill_all"])] == ["kill_all"]
+    assert harm.kill_all(scene).total() == 1  # nobody to be killed, and that is counted as nobody
+
+
+@pytest.mark.skipif(programs() is None, reason="no PostgreSQL is installed here")
+@pytest.mark.slow  # a server is made
+def test_a_line_hands_on_goes_silent_and_hangs_up(tmp_path):
+    import psycopg
+
+    tmp_path.chmod(0o755)
+    for above in tmp_path.parents[:2]:
+        above.chmod(0o755)
+    server = Server(tmp_path / "server")
+    line = Line(server.port)
+    try:
+        with psycopg.connect(server.url("league", line.port)) as through:
+            assert through.execute("SELECT 41 + 1").fetchone() == (42,)
+            line.silence()
+            through.execute("SELECT 1") if line.process.poll() is not None else line.cut()
+            with pytest.raises(psycopg.OperationalError):
+                through.execute("SELECT 1")
+        line.mend()
+        server.stop()
+        server.start()
+        with psycopg.connect(server.url("league", line.port)) as again:
+            assert again.execute("SELECT 1").fetchone() == (1,)
+    finally:
+        line.cut()
+        server.stop()

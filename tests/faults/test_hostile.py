@@ -1,0 +1,77 @@
+"""Bad input of every class, a few cases each: one line, exit code 2, nothing changed; thousands: benchmarks/fuzz.py."""
+
+import ast
+import pickle
+from pathlib import Path
+
+import pytest
+
+from benchmarks.fuzz import answer, corpus, tally
+from benchmarks.hostile import CLASSES
+from storage.store import Store
+from tests.league.conftest import ROOT
+
+CASES = 20
+FOLDERS = ("league", "arenas", "agents", "matchmaking", "storage", "dashboards")
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("kept")
+    corpus(folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_bad_input_is_answered_in_one_line_and_changes_nothing(name: str, kept: Path, tmp_path: Path):
+    found = tally(name, CASES, kept, tmp_path / "case", random=0)
+    assert found.examples == {}
+    assert found.refused > 0
+    assert found.cases >= CASES // 2  # Hypothesis leaves out what it has tried
+
+
+@pytest.mark.parametrize("path", [p for f in FOLDERS for p in (ROOT / f).rglob("*.py")], ids=lambda p: p.name)
+def test_nothing_is_read_or_kept_as_pickle(path: Path):
+    """Between processes of its own Python does so; what lies in files and databases is data and never code."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = [each.name for each in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        assert not {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"} & set(names)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            call = ast.unparse(node.func)
+            assert call not in ("torch.load", "torch.save", "np.load", "np.save", "pd.read_pickle", "numpy.load")
+            assert not call.endswith(".to_pickle")
+
+
+class Bomb:
+    """Writes a file when it is unpickled."""
+
+    def __init__(self, file: Path):
+        self.file = file
+
+    def __reduce__(self):
+        return Path.touch, (self.file,)
+
+
+def test_a_pickle_in_place_of_any_file_is_refused_and_not_run(kept: Path, tmp_path: Path):
+    fired = tmp_path / "fired"
+    bomb = pickle.dumps(Bomb(fired))
+    folder = tmp_path / "case"
+    with Store.open(folder / "store", create=True) as store:
+        from tests.storage.sound import fill
+
+        fill(store)
+    for blob in (folder / "store" / "blobs").glob("*/*"):
+        blob.write_bytes(bomb)
+    for name in ("cup.zip", "x.safetensors", "league.toml", "x.csv", "other.db"):
+        (folder / name).write_bytes(bomb)
+    for args in (
+        ("verify", "--store", "store"), ("export", "blue@1", "-o", "new", "--store", "store"), ("rate", "x.csv"),
+        ("unpack", "cup.zip", "--store", "new"), ("import", "x.safetensors", "--as", "x", "--store", "store"),
+        ("run", "league.toml"), ("status", "--store", "sqlite:///other.db"), ("meta", "x.csv"),
+    ):  # fmt: skip
+        code, _, said = answer(args, folder)
+        assert code == (1 if args[0] == "verify" else 2), (args, said)
+        assert not fired.exists(), args
+    pickle.loads(bomb)
+    assert fired.exists()  # it would have
