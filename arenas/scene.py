@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from arenas.colours import TEAM_COLOURS
 from arenas.errors import ArenaError
 from arenas.options import Solver
 from arenas.props import Prop
 from arenas.robots.robot import Robot
-
-TEAM_COLOURS = ((0.16, 0.42, 0.90, 1.0), (0.88, 0.22, 0.20, 1.0), (0.16, 0.66, 0.36, 1.0), (0.90, 0.66, 0.12, 1.0))
 
 
 @dataclass(frozen=True)

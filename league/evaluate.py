@@ -17,7 +17,7 @@ from league.jobs import RatingMatch
 from league.policies import Policy, seat, thaw
 from league.replays import episode
 from storage.errors import StorageError
-from storage.recording import to_bytes
+from storage.recording import Recording, to_bytes
 from storage.records import ArenaKey, Match, PairCounts, Snapshot
 from storage.store import Store
 
@@ -28,13 +28,12 @@ class Referee:
     """One process's compiled match: 2 × `pairings` groups of worlds, two for each pair of snapshots."""
 
     def __init__(self, config: Config, arena: Arena, league: str, recorded: tuple[int, ...] | None = None):
-        """Compile for these settings; `recorded` are the worlds to keep frames of, by default one of each pairing."""
+        """Compile for these settings; `recorded` are the worlds to keep frames of, by default as the settings say."""
         self.config, self.arena, self.league = config, arena, league
         self.pairings = config.rating.pairings
         self.each = config.rating.worlds // (2 * self.pairings)  # episodes per group
         visible = config.rating.record and bool(arena.scene.agents)  # a game without bodies has nothing to show
-        wanted = tuple(range(0, config.rating.worlds, 2 * self.each)) if recorded is None else recorded
-        self.recorded = wanted if visible else ()
+        self.recorded = (self._first(config.rating.recordings) if recorded is None else recorded) if visible else ()
         self.seconds = 0.0  # of the device, for the batch played last
         self._play = Compiled(make_play(arena, self.recorded), arena)
         self._policies: OrderedDict[str, list[Policy]] = OrderedDict()  # by digest, those used last at the end
@@ -58,12 +57,22 @@ class Referee:
         games = self.games(store, seats, task.seed)
         matches = []
         for i, (a, b) in enumerate(met):
-            kept = None
-            if task.record and self.recorded:
-                recording = episode(self.arena, games, i, seats[2 * i], self.league, task.seed, self.recorded[i])
-                kept = store.blobs.put(to_bytes(recording))
+            episodes = self._episodes(games, i, seats, task.seed) if task.record else []
+            kept = store.blobs.put(to_bytes(*episodes)) if episodes else None
             matches.append(self._count(games, i, a, b, seats, task, kept))
         return matches
+
+    def _first(self, number: int) -> tuple[int, ...]:
+        """The first episodes of each pairing, one of each of its two groups by turns."""
+        order = np.arange(2 * self.each).reshape(2, self.each).T.reshape(-1)[:number]
+        return tuple((2 * self.each * np.arange(self.pairings)[:, None] + order).reshape(-1).tolist())
+
+    def _episodes(self, games: Games, i: int, seats: Sequence[Seating], seed: int) -> list[Recording]:
+        """What was recorded of pair `i`."""
+        worlds = [(k, world) for k, world in enumerate(self.recorded) if world // (2 * self.each) == i]
+        return [
+            episode(self.arena, games, k, seats[world // self.each], self.league, seed, world) for k, world in worlds
+        ]
 
     def games(self, store: Store, seats: Sequence[Seating], seed: int) -> Games:
         """An episode in every world, by who sits in which team of each group of worlds; as the host has them."""

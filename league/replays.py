@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax
+import mujoco
 import numpy as np
 
 from agents.rollout import Games
@@ -32,7 +33,11 @@ def episode(
     scores = np.zeros_like(rewards)
     scores[-1] = games.score[world]
     actions = {name: np.repeat(a[:decisions, i], hold, axis=0) for name, a in games.actions.items()}
-    events = [*_events(frames.events, teams), (decisions * hold - 1, outcome)]
+    last, happened = decisions * hold - 1, sorted(_events(frames.events, teams) + _contact(arena, frames.qpos))
+    late = frames.time[-1] > arena.timing.episode - arena.timing.control_interval / 2
+    if late and last not in dict(happened):
+        happened.append((last, "timeout"))
+    events = [*happened, (last, outcome)]
     return Recording(
         header, arena.scene.xml, frames.time, frames.qpos, actions, rewards, scores, frames.markers, events,
         terms={**frames.rewards, **frames.shapings},
@@ -56,4 +61,24 @@ def _events(happened: dict[str, np.ndarray], teams: Sequence[str]) -> list[tuple
     for name, by_team in happened.items():
         begins = by_team & ~np.vstack([np.zeros_like(by_team[:1]), by_team[:-1]])
         found += [(int(step), f"{name}: {teams[team]}") for step, team in zip(*np.nonzero(begins), strict=True)]
-    return sorted(found)
+    return found
+
+
+def _contact(arena: Arena, qpos: np.ndarray) -> list[tuple[int, str]]:
+    """(step, "contact") where robots of two teams first touch each other, by MuJoCo's collisions of qpos (T, nq)."""
+    model = arena.scene.model
+    team = np.full(model.nbody, -1)
+    for number, side in enumerate(arena.teams):
+        for agent in side.agents:
+            team[[b for b in range(model.nbody) if model.body(b).name.startswith(f"{agent.name}/")]] = number
+    if len(set(team[team >= 0])) < 2:
+        return []
+    data = mujoco.MjData(model)
+    for step, row in enumerate(qpos[np.isfinite(qpos).all(axis=1)]):  # numbers of a void episode's end are none
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        pairs = team[model.geom_bodyid[data.contact.geom]]
+        if ((pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])).any():
+            return [(step, "contact")]
+    return []

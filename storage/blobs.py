@@ -115,7 +115,7 @@ class FolderBlobs:
                 raise away from error
             raise DamagedBlob(digest, str(path), f"unreadable ({error.strerror})") from error
         if hashlib.sha256(data).hexdigest() != digest:
-            raise DamagedBlob(digest, str(path), "damaged, its bytes do not hash to its name")
+            raise DamagedBlob(digest, str(path), "damaged, its bytes do not hash to its name", data)
         return data
 
     def has(self, digest: str) -> bool:

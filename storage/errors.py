@@ -55,11 +55,11 @@ class NewerStore(StorageError):
 
 
 class DamagedBlob(StorageError):
-    """A blob is missing, or its bytes no longer hash to its name."""
+    """A blob is missing, or its bytes no longer hash to its name; `data` are those that are there."""
 
-    def __init__(self, digest: str, place: str, fault: str):
+    def __init__(self, digest: str, place: str, fault: str, data: bytes | None = None):
         super().__init__(f"Blob {digest} is {fault}: {place}")
-        self.digest, self.fault = digest, fault
+        self.digest, self.fault, self.data = digest, fault, data
 
 
 class LeaseLost(StorageError):

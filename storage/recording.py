@@ -1,40 +1,42 @@
-"""Recordings of matches: one episode as one MCAP file that replays on its own.
+"""Recordings of matches: one episode or several of a match as one MCAP file that replays on its own.
 
 The file holds the truth and no pictures: joint positions, actions, rewards and their named terms, score, markers and
 events, with the compiled MJCF attached. GPU physics is not bit-reproducible, so a replay comes from these recorded
 states, never from the seed.
 
     profile     league
-    metadata    league.match: the header, each value as JSON
+    metadata    league.match: the header, each value as JSON, and the number of steps
     attachment  arena.xml
     /match/step   league.v1.Step, one per control step, sequence = step, log time = step × dt
-    /match/event  league.v1.Event
+    /match/event  league.v1.Event, after the step in which it happened
 
-The same content gives the same bytes, and every byte is under a checksum.
+A second episode is in league.match.1, /match/1/step and /match/1/event, a third in league.match.2, and so on. The same
+content gives the same bytes, and every byte is under a checksum. Messages stand in chunks of 64 KiB, each of which can
+be read where others are damaged: `storage.salvage`.
 """
 
 import dataclasses
-import functools
 import io
 import json
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from storage import messages
 from storage.errors import StorageError
 from storage.records import ArenaKey
 
 FORMAT = 1
+CHUNK = 64 * 1024  # bytes: what a damaged place costs, some 150 steps
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -96,32 +98,122 @@ class Recording:
         return len(self.time)
 
 
-def to_bytes(recording: Recording) -> bytes:
-    """Return the recording as an MCAP file."""
-    header, out = recording.header, io.BytesIO()
-    writer = Writer(out, enable_data_crcs=True)
+def to_bytes(*episodes: Recording) -> bytes:
+    """Return the episodes of one match, all in the same arena, as an MCAP file."""
+    out = io.BytesIO()
+    writer = Writer(out, chunk_size=CHUNK, enable_data_crcs=True)
     writer.start(profile="league", library="robot-league")
-    writer.add_metadata("league.match", _header_to_text(header))
-    writer.add_attachment(0, 0, "arena.xml", "application/xml", recording.xml.encode())
-    for topic, kind, messages in (
-        ("/match/step", "Step", _step_messages(recording)),
-        ("/match/event", "Event", _event_messages(recording)),
-    ):
-        channel = writer.register_channel(topic, "protobuf", register_schema(writer, _message_classes()[kind]))
-        for message in messages:
-            at = round(message.step * header.dt * 1e9)  # ns
-            writer.add_message(channel, at, message.SerializeToString(), at, sequence=message.step)
+    for number, recording in enumerate(episodes):
+        writer.add_metadata(metadata_name(number), _header_to_text(recording.header, recording.steps))
+    writer.add_attachment(0, 0, "arena.xml", "application/xml", episodes[0].xml.encode())
+    for number, recording in enumerate(episodes):
+        if recording.xml != episodes[0].xml:
+            raise ValueError(f"episode {number} was played in another arena than the first one")
+        _write(writer, recording, topics(number))
     writer.finish()
     return out.getvalue()
 
 
-def from_bytes(data: bytes) -> Recording:
+def from_bytes(data: bytes, episode: int = 0) -> Recording:
     """Read what `to_bytes` wrote. Raises RecordingError if the bytes are damaged, cut short or something else."""
     _check_crcs(data)
+    records = StreamReader(io.BytesIO(data), record_size_limit=len(data)).records
     try:
-        return _parse(data)
+        return read(records, episode)[0]
+    except RecordingError:
+        raise
     except Exception as error:  # the bytes are as they were written, so another program or version wrote them
         raise RecordingError(f"not a match recording of format {FORMAT}: {error!r}") from error
+
+
+def headers(data: bytes) -> list[RecordingHeader]:
+    """The header of each episode; nothing else is read, and no checksum. Raises RecordingError where there is none."""
+    found: list[RecordingHeader] = []
+    try:
+        for record in StreamReader(io.BytesIO(data), record_size_limit=len(data), emit_chunks=True).records:
+            if isinstance(record, Metadata) and record.name == metadata_name(len(found)):
+                found.append(_header_from_text(record.metadata)[0])
+            elif isinstance(record, Attachment):
+                return found
+    except Exception as error:  # as in `from_bytes`
+        raise RecordingError(f"not a match recording of format {FORMAT}: {error!r}") from error
+    raise RecordingError("not a match recording: no arena is attached")
+
+
+def read(records: Iterable[Any], episode: int) -> tuple[Recording, np.ndarray, int | None]:
+    """An episode of MCAP records: what they hold of it, which steps those are, and how many it had, if it says so.
+
+    Raises RecordingError where there is no such episode, ValueError for what is no recording.
+    """
+    header, count, xml = None, None, ""
+    steps: list[Message] = []
+    events: list[Message] = []
+    kinds = dict(zip(topics(episode), (steps, events), strict=True))
+    known = {2 * episode + 1: steps, 2 * episode + 2: events}  # as `to_bytes` numbers them, before a file says so
+    for record in records:
+        if isinstance(record, Metadata) and record.name == metadata_name(episode):
+            header, count = _header_from_text(record.metadata)
+        elif isinstance(record, Attachment) and record.name == "arena.xml":
+            xml = record.data.decode()
+        elif isinstance(record, Channel):
+            known[record.id] = kinds.get(record.topic, [])
+        elif isinstance(record, Message):
+            known.get(record.channel_id, []).append(record)
+    if header is None or not steps:
+        raise RecordingError(f"the recording has no episode {episode}, or nothing of it is left")
+    happened = [messages.message_classes()["Event"].FromString(event.data) for event in events]
+    at = np.array([step.sequence for step in steps])
+    told = [(int(np.searchsorted(at, event.step).clip(0, len(at) - 1)), event.text) for event in happened]
+    return _assembled(header, xml, messages.unpack([step.data for step in steps]), told), at, count
+
+
+def metadata_name(episode: int) -> str:
+    """Where an episode's header stands."""
+    return f"league.match.{episode}" if episode else "league.match"
+
+
+def topics(episode: int) -> tuple[str, str]:
+    """The topics of an episode's steps and of its events."""
+    where = f"/match/{episode}" if episode else "/match"
+    return f"{where}/step", f"{where}/event"
+
+
+def _assembled(
+    header: RecordingHeader, xml: str, columns: Sequence[messages.Column], events: Sequence[tuple[int, str]]
+) -> Recording:
+    values: dict[str, Any] = {"actions": {}, "markers": {}, "terms": {}}
+    for field_name, name, numbers in columns:
+        if field_name in values and isinstance(values[field_name], dict):
+            values[field_name][name] = numbers
+        else:
+            values[field_name] = numbers
+    return Recording(header, xml, **values | {"time": values["time"][:, 0]}, events=events)
+
+
+def _write(writer: Writer, recording: Recording, where: tuple[str, str]) -> None:
+    """Steps in their order, each followed by what happened in it."""
+    classes, dt = messages.message_classes(), recording.header.dt
+    step_channel, event_channel = (
+        writer.register_channel(topic, "protobuf", register_schema(writer, classes[kind]))
+        for topic, kind in zip(where, ("Step", "Event"), strict=True)
+    )
+    events: dict[int, list[str]] = {}
+    for step, text in recording.events:
+        events.setdefault(step, []).append(text)
+    for step, message in enumerate(messages.pack(list(_columns(recording)))):
+        at = round(step * dt * 1e9)  # ns
+        writer.add_message(step_channel, at, message, at, sequence=step)
+        for text in events.get(step, ()):
+            writer.add_message(event_channel, at, messages.event(step, text), at, sequence=step)
+
+
+def _columns(recording: Recording) -> Iterator[messages.Column]:
+    """In the schema's order, by name, so that the order of a caller's dict does not change the file's digest."""
+    yield "time", "", recording.time[:, None]
+    for what in ("qpos", "actions", "reward", "score", "markers", "terms"):
+        values = getattr(recording, what)
+        named = sorted(values.items()) if isinstance(values, Mapping) else [("", values)]
+        yield from ((what, name, array) for name, array in named)
 
 
 def _check(recording: Recording) -> None:
@@ -169,122 +261,19 @@ def _check_crcs(data: bytes) -> None:
         )
 
 
-def _parse(data: bytes) -> Recording:
-    header: RecordingHeader | None = None
-    xml = ""
-    topics: dict[int, str] = {}
-    steps: list[Any] = []
-    events: list[Any] = []
-    classes = _message_classes()
-    for record in StreamReader(io.BytesIO(data), record_size_limit=len(data)).records:
-        if isinstance(record, Metadata) and record.name == "league.match":
-            header = _header_from_text(record.metadata)
-        elif isinstance(record, Attachment) and record.name == "arena.xml":
-            xml = record.data.decode()
-        elif isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message) and topics[record.channel_id] == "/match/step":
-            steps.append(classes["Step"].FromString(record.data))
-        elif isinstance(record, Message) and topics[record.channel_id] == "/match/event":
-            events.append(classes["Event"].FromString(record.data))
-    if header is None:
-        raise ValueError("no league.match metadata")
-
-    def rows(values: Callable[[Any], Any]) -> np.ndarray:
-        return np.stack([np.array(values(message), np.float64) for message in steps])
-
-    def named(what: str) -> dict[str, np.ndarray]:
-        first = getattr(steps[0], what)
-        return {each.name: rows(lambda m, i=i: getattr(m, what)[i].values) for i, each in enumerate(first)}
-
-    return Recording(
-        header=header,
-        xml=xml,
-        time=rows(lambda m: m.time),
-        qpos=rows(lambda m: m.qpos),
-        actions=named("actions"),
-        reward=rows(lambda m: m.reward),
-        score=rows(lambda m: m.score),
-        markers=named("markers"),
-        events=[(event.step, event.text) for event in events],
-        terms=named("terms"),
-    )
-
-
-def _step_messages(recording: Recording) -> Iterator[Any]:
-    Step, Named = _message_classes()["Step"], _message_classes()["Named"]
-    time, qpos = recording.time.tolist(), recording.qpos.tolist()
-    reward, score = recording.reward.tolist(), recording.score.tolist()
-    named = {  # by name, so that the order of a caller's dict does not change the file's digest
-        what: [(name, array.tolist()) for name, array in sorted(getattr(recording, what).items())]
-        for what in ("actions", "markers", "terms")
-    }
-    for t in range(recording.steps):
-        yield Step(
-            step=t,
-            time=time[t],
-            qpos=qpos[t],
-            reward=reward[t],
-            score=score[t],
-            **{what: [Named(name=name, values=rows[t]) for name, rows in arrays] for what, arrays in named.items()},
-        )
-
-
-def _event_messages(recording: Recording) -> Iterator[Any]:
-    Event = _message_classes()["Event"]
-    for step, text in recording.events:
-        yield Event(step=step, text=text)
-
-
-def _header_to_text(header: RecordingHeader) -> dict[str, str]:
-    values = {"format": FORMAT} | dataclasses.asdict(header)
+def _header_to_text(header: RecordingHeader, steps: int) -> dict[str, str]:
+    values = {"format": FORMAT, "steps": steps} | dataclasses.asdict(header)
     return {name: json.dumps(value, sort_keys=True) for name, value in values.items()}
 
 
-def _header_from_text(metadata: Mapping[str, str]) -> RecordingHeader:
+def _header_from_text(metadata: Mapping[str, str]) -> tuple[RecordingHeader, int | None]:
+    """The header, and how many steps the episode has, which older files do not say."""
     values = {name: json.loads(text) for name, text in metadata.items()}
     if (given := values.pop("format")) != FORMAT:
         raise ValueError(f"format {given}")
+    steps = values.pop("steps", None)
     for name in ("sides", "digests", "teams", "score"):
         values[name] = tuple(values[name])
     values["agents"] = tuple(tuple(team) for team in values["agents"])
     values["arena"] = ArenaKey(*values["arena"])
-    return RecordingHeader(**values)
-
-
-@functools.cache
-def _message_classes() -> dict[str, Any]:
-    """The protobuf classes of league.v1, from a descriptor built here: generated files check the runtime's version.
-
-    Arrays are packed repeated doubles, which on the wire are a length and the little-endian array, so that other MCAP
-    tools can plot them.
-    """
-    Field = descriptor_pb2.FieldDescriptorProto
-    one, many = Field.LABEL_OPTIONAL, Field.LABEL_REPEATED
-    types = {"uint64": Field.TYPE_UINT64, "double": Field.TYPE_DOUBLE, "string": Field.TYPE_STRING}
-    messages = {
-        "Named": [("name", "string", one), ("values", "double", many)],
-        "Step": [
-            ("step", "uint64", one),
-            ("time", "double", one),
-            ("qpos", "double", many),
-            ("actions", "Named", many),
-            ("reward", "double", many),
-            ("score", "double", many),
-            ("markers", "Named", many),
-            ("terms", "Named", many),
-        ],
-        "Event": [("step", "uint64", one), ("text", "string", one)],
-    }
-    file = descriptor_pb2.FileDescriptorProto(name="league/v1/match.proto", package="league.v1", syntax="proto3")
-    for message, fields in messages.items():
-        proto = file.message_type.add(name=message)
-        for number, (field_name, kind, label) in enumerate(fields, 1):
-            spec = proto.field.add(name=field_name, number=number, label=label)
-            if kind in types:
-                spec.type = types[kind]
-            else:
-                spec.type, spec.type_name = Field.TYPE_MESSAGE, f".league.v1.{kind}"
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"league.v1.{name}")) for name in messages}
+    return RecordingHeader(**values), steps

@@ -8,13 +8,14 @@ import numpy as np
 from jax import Array
 
 from arenas import props
+from arenas.colours import TEAM_COLOURS
 from arenas.options import Solver
 from arenas.physics import Physics
 from arenas.props import Prop
 from arenas.robots.anymal import anymal
 from arenas.robots.leatherback import MAX_STEERING, leatherback
 from arenas.robots.robot import Robot
-from arenas.scene import TEAM_COLOURS, Scene
+from arenas.scene import Scene
 from arenas.soccer.rules import WALL, WALL_HEIGHT, PitchRules
 from arenas.soccer.sight import Ball
 from arenas.starts import apart, bases

@@ -20,12 +20,12 @@ from jax import Array
 from arenas import props
 from arenas.about import Legend, Part
 from arenas.arena import Arena
+from arenas.colours import TEAM_COLOURS
 from arenas.options import Solver, Where
 from arenas.physics import Physics
 from arenas.robots.anymal import anymal
 from arenas.robots.leatherback import leatherback
 from arenas.robots.robot import Robot, Script
-from arenas.scene import TEAM_COLOURS
 from arenas.starts import bases
 from arenas.state import Verdict
 from arenas.sumo import ring, scripts, slots

@@ -122,7 +122,9 @@ class Rating:
     void_limit: float = field(default=0.02, metadata={"low": 0.0, "high": 1.0})
     """Share of void episodes above which a snapshot is flagged: it may gain from breaking physics."""
     record: bool = True
-    """Keep a recording of one episode per pairing."""
+    """Keep a recording of each pairing."""
+    recordings: int = field(default=2, metadata={"low": 1, "high": MOST_WORLDS})
+    """How many of its episodes that has, the first of either side by turns, up to all of them."""
 
     def __post_init__(self) -> None:
         """Refuse milestones that are no durations."""

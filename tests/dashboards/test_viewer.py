@@ -10,95 +10,27 @@ import rerun as rr
 from PIL import Image
 
 from dashboards import viewer
+from dashboards.cast import COLOURS, Performer
 from dashboards.errors import ViewerError
 from dashboards.headless import headless_viewer
-from dashboards.replay import replay
-from storage.recording import Recording, RecordingHeader, from_bytes, to_bytes
-from storage.records import ArenaKey
-
-STEPS = 100
-
-
-def car(team: str, x: float, yaw: float, rgba: str) -> str:
-    wheels = "".join(
-        f'<geom type="cylinder" size=".1 .04" pos="{i * 0.2} {j * 0.22} -.06" euler="90 0 0" rgba=".1 .1 .1 1"/>'
-        for i in (-1, 1)
-        for j in (-1, 1)
-    )
-    return f"""
-    <body name="{team}/0/chassis" pos="{x} 0 .17" euler="0 0 {yaw}">
-      <freejoint/>
-      <geom type="box" size=".3 .18 .08" mass="5" rgba="{rgba}"/>
-      <geom name="{team}/0/bumper" type="capsule" size=".04 .15" pos=".3 0 0" euler="90 20 0" material="{team}"/>
-      <geom type="mesh" mesh="fin" pos="-.1 0 .2" euler="0 30 0" mass="0" rgba=".9 .9 .9 1"/>
-      <geom type="box" size=".5 .5 .5" group="3" mass="0" contype="0" conaffinity="0" rgba="0 1 0 1"/>
-      {wheels}
-      <body name="{team}/0/mast" pos="0 0 .2"><joint axis="1 0 0"/><geom type="sphere" size=".05" mass=".1"/></body>
-    </body>"""
-
-
-XML = f"""
-<mujoco>
-  <option timestep=".005"/>
-  <asset>
-    <mesh name="fin" vertex="0 0 0  .2 0 0  0 .1 0  0 0 .3"/>
-    <material name="blue" rgba=".1 .3 1 1"/><material name="red" rgba="1 .1 .1 1"/>
-  </asset>
-  <worldbody>
-    <geom type="plane" size="0 0 1" rgba=".3 .33 .37 1"/>
-    <body name="post" pos="3 3 0"><geom type="ellipsoid" size=".1 .1 .4"/></body>
-    {car("blue", -1, 0, ".2 .45 1 1")}
-    {car("red", 1, 180, "1 .25 .2 1")}
-  </worldbody>
-</mujoco>"""
+from dashboards.replay import distances, replay
+from tests.dashboards.cars import STEPS, XML, cars
 
 
 @pytest.fixture(scope="module")
 def match():
-    """Two cars roll at each other for two seconds inside a ring that shrinks from 2 m to 1.2 m."""
-    model = mujoco.MjModel.from_xml_string(XML)
-    data = mujoco.MjData(model)
-    data.qvel[[0, 7]] = 2.5, -1.5
-    time_, qpos = [], []
-    for _ in range(STEPS):
-        mujoco.mj_step(model, data, 4)
-        time_.append(data.time)
-        qpos.append(data.qpos.copy())
-    n, radius = np.arange(STEPS), np.linspace(2, 1.2, STEPS)
-    recording = Recording(
-        header=RecordingHeader(
-            league="demo",
-            match=12,
-            seed=5,
-            world=0,
-            arena=ArenaKey("sumo", "c0ffee", "c"),
-            sides=("blue@16", "red@8"),
-            digests=("ab", "cd"),
-            teams=("blue", "red"),
-            agents=(("blue/0",), ("red/0",)),
-            score=(1.0, 0.0),
-            outcome="win blue",
-            dt=0.02,
-            marker_kinds={"ring": "circle"},
-        ),
-        xml=XML,
-        time=np.array(time_),
-        qpos=np.array(qpos),
-        actions={"blue/0": np.zeros((STEPS, 2)), "red/0": np.zeros((STEPS, 2))},
-        reward=np.stack([np.sin(n / 9), -np.sin(n / 9)], axis=1),
-        score=np.stack([n > 60, n < 0], axis=1),
-        markers={"ring": np.stack([0 * radius, 0 * radius, radius], axis=1)},
-        events=[(30, "contact"), (60, "red/0 leaves the ring"), (80, "contact")],
-        terms={"push": np.stack([n / STEPS, -n / STEPS], axis=1), "effort": np.full((STEPS, 2), -0.25)},
-    )
-    return from_bytes(to_bytes(recording))
+    return cars()
 
 
 @pytest.fixture(scope="module")
 def columns(match, tmp_path_factory):
-    """What the rrd file holds: (entity path, component) -> one entry per row, and the timelines of its chunk."""
     path = tmp_path_factory.mktemp("rrd") / "match.rrd"
     viewer.write_rrd(match, path)
+    return written(path)
+
+
+def written(path):
+    """What the rrd file holds: (entity path, component) -> one entry per row, and the timelines of its chunk."""
     reader = rr.chunk.RrdReader(path)
     found = {}
     for store in reader.recordings():
@@ -149,7 +81,7 @@ def test_capsules_are_centred_as_in_mujoco(match, columns):
 def test_colours_come_from_the_geom_or_its_material(columns):
     box = columns["/world/red/0/chassis/box", "Boxes3D:colors"][0]
     capsule = columns["/world/red/0/chassis/capsule", "Capsules3D:colors"][0]
-    assert [f"{colour:08x}" for colour in (*box, *capsule)] == ["ff4033ff", "ff1a1aff"]
+    assert [f"{colour:08x}" for colour in (*box, *capsule)] == ["ff4e42ff", "ff1a1aff"]
 
 
 def test_collision_geoms_are_hidden_and_still_things_do_not_move(columns):
@@ -207,7 +139,47 @@ def test_reward_score_events_and_header_are_told(match, columns):
     assert columns["/events", "TextLog:text"] == [["contact"], ["red/0 leaves the ring"], ["contact"]]
     text = columns["/header", "TextDocument:text"][0][0]
     assert "# win blue" in text
-    assert "| red | red@8 | 0 | red/0 |" in text
+    assert "| red@8 |  |  | red, square | 0 | red/0 |" in text
+
+
+CAST = (Performer("red@8", COLOURS[1], "main", "1012 ± 30"), Performer("pusher", COLOURS[4], "fixed"))
+
+
+def test_a_player_keeps_its_colour_on_the_other_side(match):
+    model = replay(match, CAST).model
+    chassis, bumper = (model.geom(i).id for i in (model.body("blue/0/chassis").geomadr[0], "blue/0/bumper"))
+    np.testing.assert_allclose(model.geom_rgba[chassis, :3], np.array(COLOURS[1]) / 255, atol=1e-6)
+    theirs = model.body("red/0/chassis").geomadr[0]
+    np.testing.assert_allclose(model.geom_rgba[theirs, :3], np.array(COLOURS[4]) / 255, atol=1e-6)
+    np.testing.assert_allclose(model.geom_rgba[bumper, :3], replay(match).model.geom_rgba[bumper, :3])  # nobody's
+
+
+def test_over_each_robot_stands_who_plays_it_and_round_it_the_shape_of_its_side(match, tmp_path):
+    viewer.write_rrd(match, tmp_path / "cast.rrd", CAST)
+    found = written(tmp_path / "cast.rrd")
+    assert found["/world/labels/blue/0", "Points3D:labels"] == [["red@8 · 1012 · main"]]
+    assert found["/world/labels/red/0", "Points3D:labels"] == [["pusher · fixed"]]
+    assert [len(found[f"/world/sides/{side}/0", "LineStrips3D:strips"][0][0]) for side in ("blue", "red")] == [49, 5]
+    at = np.array(found["/world/sides/red/0", "Transform3D:translation"])[:, 0]
+    np.testing.assert_allclose(at[:, :2], replay(match).xpos[:, replay(match).model.body("red/0/chassis").id, :2], 1e-4)
+    assert "| red@8 | main | 1012 ± 30 | blue, circle | 1 | blue/0 |" in found["/header", "TextDocument:text"][0][0]
+    assert found["/score/blue", "SeriesLines:names"] == [["red@8 (blue)"]]
+
+
+def test_how_far_each_team_is_from_the_edge_is_a_curve(match, columns):
+    x = replay(match).xpos[:, replay(match).model.body("red/0/chassis").id, 0]
+    edge = [row[0] for row in columns["/distance/edge/red", "Scalars:scalars"]]
+    np.testing.assert_allclose(edge, match.markers["ring"][:, 2] - np.abs(x), atol=1e-3)
+
+
+def test_how_far_each_team_is_from_what_moves_and_is_nobodys(match):
+    ball = '<body name="ball/ball" pos="0 0 1"><freejoint/><geom type="sphere" size=".1" mass="1"/></body>'
+    xml = match.xml.replace("</worldbody>", f"{ball}</worldbody>")
+    qpos = np.hstack([match.qpos, np.tile([0.0, 0, 1, 1, 0, 0, 0], (STEPS, 1))])
+    played = replace(match, xml=xml, qpos=qpos)
+    far = distances(played, replay(played))
+    assert set(far) == {"edge", "ball"}
+    assert far["ball"][0] == pytest.approx(np.hypot(1, 0.83) * np.ones(2), abs=0.05)
 
 
 def test_terms_are_series_of_their_team_and_events_lanes_of_the_time_line(match, columns):
@@ -273,7 +245,14 @@ def test_show_hands_the_match_to_a_viewer_that_already_runs(match, monkeypatch, 
         while not (recordings := client.state().recordings) and time.monotonic() < deadline:
             time.sleep(0.1)
         timelines = {timeline.name: timeline for timeline in recordings[0].timelines}
-        assert {view.name for view in client.state().views} >= {"sumo", "Score", "Events", "Terms of blue", "Time line"}
+        assert {view.name for view in client.state().views} >= {
+            "sumo",
+            "Distance to edge, m",
+            "Score",
+            "Events",
+            "Terms of blue",
+            "Time line",
+        }
     assert (timelines["step"].start, timelines["step"].end) == (0, STEPS - 1)
 
 

@@ -11,6 +11,7 @@ import sys
 import pytest
 
 import league
+from storage.recording import headers
 from tests.league.conftest import ENVIRONMENT, ROOT, TINY, call
 from tests.markup import Markup
 
@@ -71,7 +72,9 @@ def test_the_match_log_adds_up(tiny_league):
         assert games + match.voids == 32
         assert 2 * sum(match.pairs) == games or match.voids
         assert sum((match.side_wins, match.side_draws, match.side_losses)) == 16 or match.voids
-        assert match.recording is not None
+        first, swapped = headers(opened.store.blobs.get(match.recording))
+        assert (first.sides, swapped.sides) == ((match.a, match.b), (match.b, match.a))
+        assert first.seed == swapped.seed == match.seed
 
 
 def test_snapshots_stand_on_a_logarithmic_axis(tiny_league):

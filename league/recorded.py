@@ -1,0 +1,137 @@
+"""Which recorded match somebody means: by its number, the newest, between the best, the greatest upset."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from league.query import Open
+from matchmaking.ladder import Ladder
+from storage.errors import DamagedBlob, StorageError, UnknownName
+from storage.recording import Recording, RecordingError, RecordingHeader, from_bytes, headers
+from storage.records import Match
+from storage.salvage import salvage
+
+NEAR = 5  # numbers of other matches that are told to who asks for one that there is not
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What was asked for; without anything the newest match."""
+
+    match: int | None = None
+    best: bool = False
+    upset: bool = False
+    between: tuple[str, ...] = ()
+    player: str | None = None
+
+
+def chosen(opened: Open, wish: Wish) -> Match:
+    """The match that was asked for. Raises StorageError, one line, where there is none of that kind."""
+    matches = opened.store.matches(opened.league)
+    recorded = [m for m in matches if m.recording is not None]
+    if wish.match is not None:
+        return _numbered(opened, matches, recorded, wish.match)
+    if not recorded:
+        raise StorageError(f"League {opened.league} has no recorded match yet: `league run` plays and records some.")
+    found = _among(opened, recorded, wish)
+    if wish.upset:
+        return _upset(opened, found)
+    return _best(opened, found) if wish.best else found[-1]
+
+
+def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) -> tuple[Recording, str]:
+    """What was recorded of a match, and with `recover` of a damaged one what is whole of it and what is missing.
+
+    Raises StorageError, one line, where it is missing or damaged, or has no such episode.
+    """
+    try:
+        data = opened.store.blobs.get(str(match.recording))
+        count = len(headers(data))
+        if not 0 <= episode < count:
+            raise RecordingError(f"Match {match.id} has {count} recorded, from 0 on; there is no episode {episode}.")
+        return from_bytes(data, episode), ""
+    except DamagedBlob as error:
+        if error.data is None:
+            raise
+        if not recover:
+            raise StorageError(f"{error}; --recover shows what is whole of it") from error
+        return salvage(error.data, episode)
+
+
+def _numbered(opened: Open, matches: Sequence[Match], recorded: Sequence[Match], number: int) -> Match:
+    found = next((m for m in matches if m.id == number), None)
+    if found is not None and found.recording is not None:
+        return found
+    near = sorted(sorted(m.id for m in recorded if m.id != number), key=lambda id: abs(id - number))[:NEAR]
+    there = ", ".join(map(str, sorted(near)))
+    what = f"Match {number} of league {opened.league} was not recorded"
+    if found is None:
+        what = f"There is no match {number} in league {opened.league}"
+    raise StorageError(f"{what}; recorded near it: {there or 'none'}. `league matches` lists all.")
+
+
+def _among(opened: Open, recorded: list[Match], wish: Wish) -> list[Match]:
+    """The recorded matches of those who were named."""
+    snapshots = {s.name: s for s in opened.store.snapshots(opened.league)}
+    for name in wish.between:
+        if name not in snapshots:
+            raise UnknownName("snapshot", name, snapshots)
+    players = {s.player for s in snapshots.values() if s.player}
+    if wish.player is not None and wish.player not in players:
+        raise UnknownName("player", wish.player, players)
+    of = {name: snapshot.player for name, snapshot in snapshots.items()}
+    found = [
+        m for m in recorded
+        if set(wish.between) <= {m.a, m.b} and (wish.player is None or wish.player in (of.get(m.a), of.get(m.b or "")))
+    ]  # fmt: skip
+    if not found:
+        who = " and ".join(wish.between) or wish.player
+        raise StorageError(f"No match of {who} was recorded: `league matches` tells which were.")
+    return found
+
+
+def _best(opened: Open, recorded: Sequence[Match]) -> Match:
+    """The match whose weaker side is best rated now, the newest of those, in the arena of the newest of all."""
+    key = recorded[-1].arena  # Elo of two ladders cannot be compared
+    ladder = opened.ladder(key)
+    strength, learnt = _strength(ladder), {s.name for s in opened.store.snapshots(opened.league) if s.player}
+
+    def interest(match: Match) -> tuple[bool, float, int]:
+        return learnt.issuperset(_sides(match)), min(map(strength, _sides(match))), match.id
+
+    return max((m for m in recorded if m.arena == key), key=interest)
+
+
+def _upset(opened: Open, recorded: Sequence[Match]) -> Match:
+    """The match recorded in which the winner was rated the most below the loser, as far as ratings are known now."""
+    key = recorded[-1].arena
+    ladder = opened.ladder(key)
+    strength = _strength(ladder)
+
+    def gap(match: Match) -> float:
+        return abs(strength(match.a) - strength(str(match.b)))
+
+    rivals = [m for m in recorded if m.arena == key and m.b is not None and ladder.known(m.a) and ladder.known(m.b)]
+    for match in sorted(rivals, key=gap, reverse=True):
+        weaker_wins = match.wins if strength(match.a) < strength(str(match.b)) else match.losses
+        if weaker_wins and gap(match) > 0:
+            first = headers(opened.store.blobs.get(str(match.recording)))[0]
+            if _won(first) == min(_sides(match), key=strength):
+                return match
+    raise StorageError(f"In no recorded match of league {opened.league} the weaker side won, as far as they are rated.")
+
+
+def _won(header: RecordingHeader) -> str | None:
+    """Who won the recorded episode; None after a draw and where physics broke."""
+    first = max(range(len(header.score)), key=header.score.__getitem__)
+    even = header.outcome == "void" or header.score.count(header.score[first]) > 1
+    return None if even else header.sides[first]
+
+
+def _sides(match: Match) -> list[str]:
+    return [side for side in (match.a, match.b) if side is not None]
+
+
+def _strength(ladder: Ladder) -> Callable[[str], float]:
+    if ladder.one_team:
+        return lambda name: ladder.success(name).score
+    return lambda name: float(ladder.ratings.strength[ladder.ratings.index(name)])

@@ -1,0 +1,108 @@
+"""`league watch`: which match it shows, as whom, and what it says where there is none."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from league.cast import cast
+from league.query import Open
+from league.recorded import Wish, chosen
+from storage.recording import Recording, to_bytes
+from storage.store import Store
+from tests.dashboards.cars import cars
+from tests.league.leagues import filled, finish, match
+from tests.league.test_pack import ran, refused
+
+
+def recorded(played: Recording, sides: tuple[str, str], first: float = 1.0) -> Recording:
+    """That match as one of these two snapshots, of which the first one scored so."""
+    outcome = "draw" if first == 0.5 else f"{sides[first < 0.5]} wins as {played.header.teams[first < 0.5]}"
+    header = replace(played.header, sides=sides, score=(first, 1 - first), outcome=outcome, league="cup")
+    return replace(played, header=header)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Path:
+    """Red's newest is the best, blue's first the worst; once that one has won a recorded episode nevertheless."""
+    folder, played = tmp_path_factory.mktemp("watched") / "league-data", cars()
+    with filled(folder) as store:
+        put = store.blobs.put
+        games = [
+            match("red@4", "blue@4", 90, 30, recording=put(to_bytes(
+                recorded(played, ("red@4", "blue@4")), recorded(played, ("blue@4", "red@4"), 0.0)))),
+            match("red@4", "blue@0", 118, 2, recording=put(to_bytes(recorded(played, ("blue@0", "red@4"))))),
+            match("red@4", "red@0", 110, 10, recording=put(to_bytes(recorded(played, ("red@4", "red@0"))))),
+            match("blue@4", "blue@0", 100, 20),
+            match("red@0", "blue@0", 64, 56, recording=put(to_bytes(recorded(played, ("red@0", "blue@0"))))),
+        ]  # fmt: skip
+        finish(store, matches=games[:2])
+        finish(store, matches=games[2:])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("wish", "number"),
+    [
+        (Wish(), 5), (Wish(match=2), 2), (Wish(best=True), 1), (Wish(upset=True), 2),
+        (Wish(between=("blue@0", "red@4")), 2), (Wish(between=("red@4", "blue@4")), 1), (Wish(player="blue"), 5),
+        (Wish(best=True, between=("red@0", "red@4")), 3),
+    ],
+)  # fmt: skip
+def test_the_match_that_is_meant(store, wish, number):
+    with Open(Store.open(store)) as opened:
+        assert chosen(opened, wish).id == number
+
+
+def test_players_have_their_colours_roles_and_the_ratings_before_the_match(store):
+    with Open(Store.open(store)) as opened:
+        matches = opened.store.matches("cup")
+        blue, red = cast(opened, matches[0], ("blue@4", "red@4"))
+        assert (red, blue) == cast(opened, matches[0], ("red@4", "blue@4"))
+        assert blue.role == red.role == "main"
+        assert blue.rating == ""  # nothing had been played before
+        new, old = cast(opened, matches[2], ("red@4", "red@0"))
+        assert new.colour == red.colour
+        assert old.colour != new.colour  # its own past, paler
+        assert sum(old.colour) > sum(new.colour)
+        later = replace(matches[2], created=matches[2].created + 1e6)
+        assert cast(opened, later, ("red@4",))[0].rating != cast(opened, later, ("blue@0",))[0].rating != ""
+        assert cast(opened, matches[2], ("pusher",))[0].role == "fixed"
+        assert cast(opened, matches[2], ("gone@1", "red@4"))[0].label == "gone@1"
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("99",), "There is no match 99 in league cup; recorded near it: 1, 2, 3, 5."),
+        (("4",), "Match 4 of league cup was not recorded; recorded near it: 1, 2, 3, 5."),
+        (("--between", "blue@4", "blue@0"), "No match of blue@4 and blue@0 was recorded"),
+        (("--between", "blue@4"), "--between takes two snapshots"),
+        (("--between", "blue@4", "bleu@0"), "Did you mean 'blue@0'"),
+        (("--player", "bleu"), "Did you mean 'blue'"),
+        (("3", "--best"), "MATCH and --best ask for different matches"),
+        (("1", "--episode", "2"), "Match 1 has 2 recorded, from 0 on; there is no episode 2."),
+    ],
+)
+def test_what_there_is_not_is_told_in_one_line(store, args, says, capsys, tmp_path):
+    assert says in refused(capsys, "watch", *args, "--store", str(store), "--save", str(tmp_path / "no.rrd"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_episode_with_sides_swapped_and_what_is_whole_of_a_damaged_one(store, capsys, tmp_path):
+    saved = ("--store", str(store), "--save", str(tmp_path / "match.rrd"))
+    assert "blue@4 against red@4, red@4 wins as red" in ran(capsys, "watch", "1", "--episode", "1", *saved)[1]
+    with Store.open(store) as opened:
+        digest = str(opened.matches("cup")[4].recording)
+    blob = store / "blobs" / digest[:2] / digest[2:]
+    whole = blob.read_bytes()
+    try:
+        blob.write_bytes(whole[: -len(whole) // 20])  # the summary is lost, no step
+        assert "--recover shows what is whole" in refused(capsys, "watch", "5", *saved)
+        code, out, err = ran(capsys, "watch", "5", "--recover", *saved)
+        assert (code, err) == (0, "")
+        assert "red@0 against blue@0" in out
+        blob.write_bytes(whole[: len(whole) // 3])
+        assert "nothing of it is left" in refused(capsys, "watch", "5", "--recover", *saved)
+    finally:
+        blob.write_bytes(whole)
