@@ -9,7 +9,7 @@ from torch.utils import _pytree as pytree
 from agents.batch import Batch, Sequences, Share, rows
 from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Tally, adam, minibatches, networks, orders, parts, slope, step
+from agents.optimise import Tally, adam, fused, minibatches, networks, orders, parts, slope, step
 from agents.parallel import ALONE, Together
 from agents.settings import HappoConfig
 
@@ -27,6 +27,7 @@ class ActorLearner:
         self.rate = torch.tensor(config.lr, device=device)  # what Adam steps by: `lr`, or what has decayed of it
         self.optimizer = adam(network, self.rate)
         self.tally = Tally(FIGURES, device)
+        self.loss = fused(surrogate_loss, config.compiled)
 
     @torch.no_grad()
     def share(self, batch: Batch, M: Tensor, A_hat: Sequence[Tensor]) -> Share:
@@ -69,7 +70,7 @@ class ActorLearner:
         c, before = self.config, self.tally.sums.clone()
         for minibatch in minibatches(share, order, c.minibatches):
             part, taught = parts(minibatch.valid, self.together)
-            loss, found = surrogate_loss(self.network, minibatch, part, c)
+            loss, found = self.loss(self.network, minibatch, part, c)
             mine = (*slope(self.network, loss), loss, found["entropy"], found["rise"], found["kl"])
             *gradient, loss, entropy, rise, kl = self.together.sum(*mine)
             if c.kl_step is not None:

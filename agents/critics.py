@@ -9,7 +9,7 @@ from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) 
 from agents.batch import Batch, Critique, Sequences, Side, rows, sides
 from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Tally, adam, minibatches, networks, orders, parts, slope, step
+from agents.optimise import Tally, adam, fused, minibatches, networks, orders, parts, slope, step
 from agents.parallel import ALONE, Together
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
@@ -32,6 +32,7 @@ class CriticLearner:
         self.optimizer = adam(network, self.rate)
         self.tally = Tally(("value_loss", "critic_grad_norm"), device)
         self.fit = Tally(("explained_variance",), device)
+        self.loss = fused(value_loss, config.compiled)
 
     @torch.no_grad()
     def criticise(self, batch: Batch) -> Critique:
@@ -84,7 +85,7 @@ class CriticLearner:
             part, taught = parts(valid, self.together)
             if c.value_norm:
                 self.value_norm.update(R, part, taught, self.together)
-            loss = value_loss(self.network, seen, old, self._normalise(R), part, c)
+            loss = self.loss(self.network, seen, old, self._normalise(R), part, c)
             *gradient, loss = self.together.sum(*slope(self.network, loss), loss)
             norm = step(self.optimizer, self.network, gradient, c.max_grad_norm, taught)
             self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)

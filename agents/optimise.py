@@ -3,9 +3,9 @@
 Only `means` asks the device for numbers: all that comes before it can be replayed as CUDA graphs (`agents/graphs.py`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -14,9 +14,11 @@ from torch.utils import _pytree as pytree
 from agents.parallel import ALONE, Together
 from agents.settings import Precision
 
+P, T = ParamSpec("P"), TypeVar("T")
 Rows = TypeVar("Rows")  # tensors (B, ...) in lists and tuples
 
 BETAS, EPSILON = (0.9, 0.999), 1e-5
+MOST_COMPILED = 256  # networks whose losses one process compiles; torch's own limit of 8 is two teams of four
 
 
 class Adam(torch.optim.Adam):
@@ -56,6 +58,17 @@ def moments(name: str, module: nn.Module, optimizer: torch.optim.Adam | None) ->
 def slope(module: nn.Module, loss: Tensor) -> Sequence[Tensor]:
     """The gradient of a loss, parameter by parameter."""
     return torch.autograd.grad(loss, list(module.parameters()))
+
+
+def fused(loss: Callable[P, T], on: bool) -> Callable[P, T]:
+    """A loss whose kernels, and those of its gradient, torch.compile makes few of where that is on.
+
+    Each network's shape is compiled once, at its first minibatch; recorded graphs then hold what was compiled.
+    """
+    if not on:
+        return loss
+    torch.compiler.config.recompile_limit = MOST_COMPILED
+    return torch.compile(loss, fullgraph=True, dynamic=False)
 
 
 def step(

@@ -90,6 +90,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--engine", default="auto", help="auto, c, jax, warp")
     parser.add_argument("--worlds", type=int, nargs="+", default=[256])
     parser.add_argument("--no-graphs", dest="graphs", action="store_false", help="launch every kernel by itself")
+    parser.add_argument("--compiled", action="store_true", help="losses compiled by torch.compile")
     parser.add_argument("--precision", choices=get_args(Precision), default="float32", help="of the learner's products")
     parser.add_argument("--decisions", type=int, default=32, help="of a rollout")
     parser.add_argument("--repeats", type=int, default=8, help="turns that are timed")
@@ -105,7 +106,9 @@ def measured(args: argparse.Namespace) -> Iterator[dict]:
     """Every row, one number of worlds after the other; those of one share arena and compiled rollout."""
     kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
     config = replace(configuration.default(args.arena), engine=args.engine)
-    config = replace(config, learner=replace(config.learner, graphs=args.graphs, precision=args.precision))
+    config = replace(
+        config, learner=replace(config.learner, graphs=args.graphs, precision=args.precision, compiled=args.compiled)
+    )
     places = [(config, worlds, [name for name in args.rows if name != "quickstart"]) for worlds in args.worlds]
     places += [(presets.quickstart(), QUICKSTART_WORLDS, [name for name in args.rows if name == "quickstart"])]
     for settings, worlds, names in places:
@@ -252,6 +255,7 @@ def of_league(ground: Ground, where: Path, seconds: int) -> dict:
         "--arena.name", ground.arena.name, "--engine", ground.arena.engine.name, "--for", f"{seconds}s",
         "--budget.rate", "0s", "--training.worlds", str(ground.worlds),
         "--training.rollout", str(ground.args.decisions), f"--learner.graphs={ground.args.graphs}",
+        f"--learner.compiled={ground.args.compiled}",
         "--learner.precision", ground.args.precision, *flags,
     ]  # fmt: skip
     subprocess.run(command, cwd=sys.path[0], check=True, stdout=subprocess.DEVNULL)
