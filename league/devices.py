@@ -1,10 +1,12 @@
 """Which GPU a worker takes, decided before anything that would take one is imported."""
 
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import Sequence
 from functools import cache
+from importlib.util import find_spec
 from typing import NamedTuple
 
 from league.config.schema import ConfigError
@@ -74,6 +76,14 @@ def used(backend: str) -> float:
     takes. What a GPU did in the meantime is not told; there every second counts in which the process waited for it.
     """
     return time.process_time() / (os.cpu_count() or 1) if backend == "cpu" else time.monotonic()
+
+
+def lacks_to_compile() -> str:
+    """What torch.compile needs and does not find here; empty where there is all. Loads torch."""
+    named = [os.environ[name] for name in ("CXX", "CC") if name in os.environ]
+    if not any(map(shutil.which, [*named, "g++", "c++", "clang++", "gcc", "cc"])):
+        return "a C++ compiler"
+    return "Triton" if torch_has_cuda() and find_spec("triton") is None else ""
 
 
 def torch_has_cuda() -> bool:

@@ -191,6 +191,8 @@ def _examine_device(config: Config, arena: "Arena") -> None:
             f"the GPUs that may be used here are {gpus}, and no two processes of a turn share one; use {gpus} or less"
         )
         raise refuse(("training", "devices"), config.training.devices, told)
+    if config.learner.compiled and (lacking := devices.lacks_to_compile()):
+        raise refuse(("learner", "compiled"), True, f"torch.compile needs {lacking}, and none is here; use false")
     if config.deterministic and arena.engine.name == "warp":
         raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
 

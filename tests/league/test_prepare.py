@@ -218,3 +218,12 @@ def test_a_victim_must_be_there_or_come_with_the_league(tmp_path):
         prepare(place, always("heads"))
     assert caught.value.key == ("training", "opponents", "victim")
     assert not (tmp_path / "new").exists()
+
+
+def test_without_a_compiler_nothing_is_compiled(monkeypatch, tmp_path):
+    config = configuration.loads('arena.name = "rock-paper-scissors"\n[learner]\ncompiled = true\n')
+    for name in ("CC", "CXX"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ConfigError, match=r"^learner\.compiled = true: .* a C\+\+ compiler, .*; use false$"):
+        examine(config)
