@@ -4,7 +4,7 @@ All of it follows from the players as the turn leaves them, and is written with 
 transaction (`league/train.py`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from league import heirs, lives
 from league.config import experiment as configuration
@@ -30,7 +30,8 @@ class Ending:
             (learner,) = self._phase.learners
             self._earlier = store.curves(squad.league, learner, after=self._phase.since.get(learner, 0))
         self._handed_over = False  # whether the turn ends its learner's turn of leapfrog
-        self._parents: Mapping[str, str | None] = {}  # of players that go on from others since this turn
+        # Of players that go on from others since this turn:
+        self._parents: dict[str, str | None] = {name: theirs for name, (*_, theirs) in turn.copies.items()}
         self._frozen: dict[str, bytes] = {}  # players whose life the turn ends, as they were then
 
     # When ------------------------------------------------------------------------------------------------------------
@@ -107,7 +108,7 @@ class Ending:
             self.squad.take_over(name, learner)
             own = counters[name]
             counters[name] = Counters(own.iteration + done, max(own.steps, now.steps), max(own.seconds, now.seconds))
-        self._parents = dict.fromkeys(self.copied, store.snapshots(phase.league, learner)[-1].name)
+        self._parents |= dict.fromkeys(self.copied, store.snapshots(phase.league, learner)[-1].name)
 
     def _end_lives(self, store: Store, meetings: Sequence[Meeting]) -> bool:
         """Freeze the learners whose life is over, and only then begin anew with those whose role and dice have it so.
@@ -156,10 +157,15 @@ class Ending:
         )  # fmt: skip
 
     def _due(self, player: Player, last: Snapshot) -> bool:
-        """Whether it is. Who may begin anew is frozen when its life ends and never else: by that a life is told."""
+        """Whether it is. Who may begin anew is frozen when its life ends and never else: by that a life is told.
+
+        Who copies another is frozen with the turn, for its snapshot's parent is what tells of the copy.
+        """
         now, role = self.squad.counters[player.name], self.squad.role(player.name)
         if now.iteration == last.iteration:
             return False
+        if player.name in self.turn.copies:
+            return True
         if player.name in self._frozen or role.begins_anew:
             return player.name in self._frozen
         due = next_due(last.iteration, self.config.training.snapshots_per_doubling)

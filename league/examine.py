@@ -42,6 +42,7 @@ def examine(config: Config) -> "Arena":
     _examine_opponents(config, arena)
     _examine_players(config, teams)
     _examine_ladder(config, arena)
+    _examine_pbt(config, teams)
     _examine_scripts(config, arena)
     _examine_device(config, arena)
     _examine_memory(config, arena)
@@ -163,6 +164,24 @@ def _examine_ladder(config: Config, arena: "Arena") -> None:
                 f"ladder copies its group's {learner.name} here, whose widths are {literal(wanted)}; give both the same"
             )
             raise refuse(("players", str(i), "hidden"), own, told)
+
+
+def _examine_pbt(config: Config, teams: list[str]) -> None:
+    """Population based training needs players of one team, one role and one network."""
+    if config.training.pbt.ready is None:
+        return
+    groups: dict[tuple[str, str], list[PlayerSettings]] = {}
+    for player in roster(config, teams):
+        groups.setdefault((player.team, player.role), []).append(player)
+    if all(len(each) < 2 for each in groups.values()):
+        told = "no team has two players of one role, so nobody can copy anybody; add [[players]], or leave it out"
+        raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, told)
+    for (team, role), each in groups.items():
+        widths = dict.fromkeys(player.hidden or config.learner.architecture.hidden for player in each)
+        if len(widths) > 1:
+            told = f"the {role} players of {team} have networks of {' and '.join(map(literal, widths))}: who copies"
+            told += " another needs its network, so give them the same"
+            raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, told)
 
 
 def scripts(config: Config, arena: "Arena") -> tuple[str, ...]:

@@ -30,6 +30,8 @@ class TrainingTurn:
     odds: Mapping[str, Mapping[str, tuple[float, int]]] = field(default_factory=dict)
     # learner -> snapshot in `past` -> the chance with which it was drawn, and out of how many
     dice: int = 0  # how often the players had to go back: a repeated turn rolls other dice
+    copies: Mapping[str, tuple[str, str, str]] = field(default_factory=dict)
+    # learner -> a player from whose checkpoint it goes on, that one's digest, and its newest snapshot
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Players' learners: made as the league's settings and their own have them, and how several learn at once."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from agents.bridge import common_size
 from agents.happo import Learner
 from agents.parallel import ALONE, Together
+from agents.settings import HappoConfig
 from arenas.arena import Arena
 from arenas.state import TeamSpec
 from league import heirs
@@ -21,15 +22,23 @@ from storage.records import Player, Snapshot
 from storage.store import Store
 
 
-def new_learner(config: Config, arena: Arena, player: Player, together: Together = ALONE) -> Learner:
-    """A player's learner with what is its own: its seed, and the settings that its entry in `players` changes."""
-    agents = arena.teams[player.team].agents
+def settings_of(config: Config, player: Player) -> HappoConfig:
+    """A player's settings: the league's, and what its entry in `players` changes."""
     settings = config.learner
     for own in (entry for entry in named_players(config.players) if entry.name == player.name):
         if own.hidden is not None:
             settings = replace(settings, architecture=replace(settings.architecture, hidden=own.hidden))
         if own.lr is not None:
             settings = replace(settings, lr=own.lr, critic_lr=own.lr)
+    return settings
+
+
+def new_learner(
+    config: Config, arena: Arena, player: Player, together: Together = ALONE, moved: Mapping[str, float] | None = None
+) -> Learner:
+    """A player's learner with what is its own: its seed, its settings, and the hyperparameters that have moved."""
+    agents = arena.teams[player.team].agents
+    settings = replace(settings_of(config, player), **(moved or {}))
     seed = crc32(f"{config.seed}/{player.name}".encode())
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     theirs = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]

@@ -28,7 +28,7 @@ from matchmaking.opponents import (
     pfsp,
     uniform,
 )
-from matchmaking.roles import MAIN, Role, is_exploiter
+from matchmaking.roles import LEAGUE_EXPLOITER, MAIN, Role, is_exploiter
 from storage.records import Meeting, Player, Snapshot
 
 WIN_RATE = "win rate"
@@ -192,7 +192,8 @@ def _players(standing: Standing, team: int) -> set[str]:
 
 
 def _exploiters(standing: Standing) -> set[str]:
-    return {p.name for p in standing.players if is_exploiter(p.role)}
+    """Those by whom main players are verified: league exploiters are met by PFSP alone, as in AlphaStar."""
+    return {p.name for p in standing.players if is_exploiter(p.role) and p.role != LEAGUE_EXPLOITER.name}
 
 
 def _predicted(standing: Standing, learner: Player, pool: Sequence[Snapshot]) -> np.ndarray:

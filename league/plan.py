@@ -15,6 +15,7 @@ from league.jobs import TrainingTurn, decode, encode
 from league.lives import born, steps_left
 from league.measures import learnt_enough
 from league.odds import odds
+from league.population import copy_now
 from league.standing import Standing
 from matchmaking.opponents import draw
 from matchmaking.schedule import Learnt, first_phase, next_due, next_phase, remaining
@@ -135,6 +136,7 @@ def _turn(config: Config, standing: Standing, group: str, players: Sequence[Play
         {name: lineups for name, (lineups, _) in met.items()},
         {name: chances for name, (_, chances) in met.items()},
         _dice(players),
+        {p.name: copy for p in learners if (copy := copy_now(config, standing, p))},
     )
 
 

@@ -6,11 +6,12 @@ from zlib import crc32
 
 from agents.parallel import ALONE, Together
 from arenas.arena import Arena
-from league import fading, lives
+from league import fading, lives, population
 from league.config.experiment import Config
 from league.jobs import TrainingTurn
-from league.learners import begin_anew, beside, new_learner
+from league.learners import begin_anew, beside, new_learner, settings_of
 from league.policies import freeze
+from matchmaking.pbt import explored
 from matchmaking.roles import Role
 from storage import arrays
 from storage.records import ArenaKey, Checkpoint, Meeting, Player, Snapshot
@@ -97,6 +98,7 @@ class Squad:
 
     def _load(self, store: Store, name: str, digest: str, dice: int) -> None:
         state = arrays.from_bytes(store.blobs.get(digest))
+        self._move(name, self._begun_with(name) | population.read(state, self._movable))
         self.learners[name].load(state)
         if fades := self._fading[name]:
             fades.load(state)
@@ -106,7 +108,9 @@ class Squad:
     def checkpoint(self, store: Store, name: str, key: ArenaKey) -> Checkpoint:
         """A player as it is now; its bytes are in the store, the row is to be written."""
         at, fades = self.counters[name], self._fading[name]
-        digest = store.blobs.put(arrays.to_bytes(self.learners[name].state() | (fades.state() if fades else {})))
+        moved = population.written(self.moved(name))
+        state = self.learners[name].state() | moved | (fades.state() if fades else {})
+        digest = store.blobs.put(arrays.to_bytes(state))
         return Checkpoint(self.league, name, digest, at.steps, at.iteration, at.seconds, key)
 
     def written(self, checkpoints: Sequence[Checkpoint]) -> None:
@@ -130,6 +134,43 @@ class Squad:
         mine, theirs = self._fading[name], self._fading[source]
         if mine and theirs:
             mine.follow(theirs)
+
+    def copy(self, store: Store, turn: TrainingTurn) -> bool:
+        """Population based training: who copies in the turn goes on from the other's whole state; whether anybody does.
+
+        With hyperparameters and random numbers of its own: those follow from the seed, its name and where it stands.
+        """
+        for name, (source, digest, _) in turn.copies.items():
+            state, at = arrays.from_bytes(store.blobs.get(digest)), self.counters[name].iteration
+            theirs = self._begun_with(source) | population.read(state, self._movable)
+            dice = population.dice(self.config.seed, name, at, "explore")
+            pbt = self.config.training.pbt
+            self._move(name, explored(self.moved(name), theirs, self._begun_with(name), pbt, dice))
+            self.learners[name].load(state)
+            self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{at}/copy".encode()))
+            other = self._unfaded()
+            if (mine := self._fading[name]) and other:
+                other.load(state)
+                mine.follow(other)
+        return bool(turn.copies)
+
+    def moved(self, name: str) -> dict[str, float]:
+        """A player's hyperparameters that may move, as it has them now."""
+        return population.hyperparameters(self.learners[name].config, self._movable)
+
+    def _begun_with(self, name: str) -> dict[str, float]:
+        """The same as its settings have them."""
+        return population.hyperparameters(settings_of(self.config, self.players[name]), self._movable)
+
+    @property
+    def _movable(self) -> tuple[str, ...]:
+        pbt = self.config.training.pbt
+        return () if pbt.ready is None else pbt.hyperparameters
+
+    def _move(self, name: str, moved: Mapping[str, float]) -> None:
+        """Have a player learn with these; its learner is made anew, for they are part of what is compiled."""
+        if moved.items() - self.moved(name).items():
+            self.learners[name] = new_learner(self.config, self.arena, self.players[name], self.together, moved)
 
     def begin_anew(self, store: Store, name: str, source: Snapshot) -> None:
         """Have a player whose life is over go on from a snapshot's actors, with all else as at its beginning."""

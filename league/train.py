@@ -88,7 +88,8 @@ class Trainer:
         """
         squad = self.squad
         self.interrupted, self._points, self._meetings = False, [], []
-        if squad.restore(store, turn):
+        moved = squad.restore(store, turn)
+        if squad.copy(store, turn) or moved:
             self._worlds.pop(turn.group, None)  # they belong to a history that is not the store's
         self._ending = Ending(squad, turn, store)
         if turn.iterations == 0:
@@ -214,7 +215,8 @@ class Trainer:
         self.squad.counters[name] = now
         self.squad.note(name, figures)
         values = {
-            **figures, "steps_per_second": steps / elapsed, "shaping_weight": self.squad.shaping(name),
+            **figures, **{f"hyperparameter.{k}": v for k, v in self.squad.moved(name).items()},
+            "steps_per_second": steps / elapsed, "shaping_weight": self.squad.shaping(name),
             "begun_anew": self._begun_anew if at == before else 0.0,
         }  # fmt: skip
         return CurvePoint(self.squad.players[name].league, name, now.iteration, now.steps, now.seconds, values)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from dashboards.tables import Column, render
+from league import population
 from league.commands.options import Where, parse, positional
 from league.lives import born
 from league.odds import WIN_RATE, Odds, odds, records
@@ -39,14 +40,17 @@ def explain(args: list[str]) -> int:
     with options.open() as opened:
         standing = Standing.of(opened.store, opened.league)
         role_of, seed = opened.roles(), opened.setting("seed", otherwise=1)
+        told = population.words(opened, standing)
     player = next((p for p in standing.players if p.name == options.player), None)
     if player is None:
         raise UnknownName("player", options.player, [p.name for p in standing.players])
-    found = explained(role_of(player.role), standing, player, seed)
+    found = explained(role_of(player.role), standing, player, seed) | {"population": told.get(options.player)}
     if options.format == "json":
         print(json.dumps(found, indent=2, ensure_ascii=False))
     else:
         print(_text(found))
+        if found["population"]:
+            print(_wrapped(f"\nPopulation: {options.player} has {found['population']}."))
     return 0
 
 

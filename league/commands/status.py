@@ -9,7 +9,7 @@ from typing import get_args
 
 from dashboards.tables import Column, render
 from dashboards.terminal import gauge, is_lit, spark, styles
-from league import devices
+from league import devices, population
 from league.commands.options import Where, parse
 from league.config.sections import Budget, Rating
 from league.course import course
@@ -64,6 +64,7 @@ class Facts:
     stages: Sequence[str]
     phases: Sequence[str]
     lives: Sequence[str]  # of players whose role has them
+    population: Sequence[str]  # of players that may copy each other
     paused: Sequence[str]
     again: Sequence[str]  # jobs that failed and are tried again
     failed: Sequence[str]
@@ -92,6 +93,7 @@ def facts(opened: Open, whole_errors: bool = False) -> Facts:
         _stages(store, league),
         [_phase(phase, checkpoints, scores) for phase in phases.values() if phase.learners],
         _lives(opened, players, checkpoints),
+        _population(opened, players, checkpoints),
         [f"{p.name}: {_error(p.paused, whole_errors)}" for p in players if p.paused is not None],
         [_failed(job, whole_errors) for job in jobs if job.failures and job.state != "failed"],
         [_failed(job, whole_errors) for job in jobs if job.state == "failed"],
@@ -116,6 +118,7 @@ def report(opened: Open, whole_errors: bool = False, lit: bool = False) -> str:
         found.share,
         *_listed("Phases", found.phases),
         *_listed("Lives", found.lives),
+        *_listed("Population", found.population),
         *_listed("Paused", found.paused),
         *_listed("Tried again", found.again),
         *_listed("Set aside", found.failed),
@@ -199,6 +202,12 @@ def _lives(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Ch
     standing = Standing(players, store.snapshots(league), meetings=store.meetings(league))
     found = [(p, life(role_of(p.role), standing, p, checkpoints[p.name].step)) for p in with_lives]
     return [_life(player, each) for player, each in found if each is not None]
+
+
+def _population(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Checkpoint]) -> list[str]:
+    """Who has which hyperparameters, and has copied whom."""
+    standing = Standing(players, opened.store.snapshots(opened.league), checkpoints)
+    return [f"{name}: {told}" for name, told in population.words(opened, standing).items()]
 
 
 def _life(player: Player, now: Life) -> str:

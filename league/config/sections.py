@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from league.config.durations import seconds
 from matchmaking.opponents import Opponents
+from matchmaking.pbt import Pbt
 from matchmaking.schedule import Schedule
 
 MOST_WORLDS = 2**20  # beyond it no machine of today has the memory, and a slip of the keyboard is likelier
@@ -69,6 +70,8 @@ class Training:
     """Which teams learn when."""
     opponents: Opponents = field(default_factory=Opponents)
     """Whom they learn against."""
+    pbt: Pbt = field(default_factory=Pbt)
+    """Population based training across the players of a team."""
     shaping_steps: int | None = field(default=None, metadata={"low": 0})
     """Environment steps over which the dense reward fades from full weight to none (0: outcome only; none: 500,000, or
     as shaping_until says)."""
