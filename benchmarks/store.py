@@ -139,9 +139,9 @@ def throughput(store: Store, place: Place, workers: int, seconds: float) -> dict
     for process in processes:
         process.join()
     return {
-        "workers": workers, "jobs_per_second": round(found[:, 0].sum() / found[:, 1].max(), 1),
+        "workers": workers, "jobs_per_second": round(float(found[:, 0].sum() / found[:, 1].max()), 1),
         "jobs": int(found[:, 0].sum()),
-        "workers_processor_ms_per_job": round(1000 * found[:, 2].sum() / max(1, found[:, 0].sum()), 2),
+        "workers_processor_ms_per_job": round(float(1000 * found[:, 2].sum() / max(1, found[:, 0].sum())), 2),
         "fsync_ms_just_before": disk, "load_average": load(),
     }  # fmt: skip
 
@@ -235,7 +235,7 @@ def played(store: Store, until: float) -> tuple[int, int]:
         if claimed := store.claim(LEAGUE, ["match"], "here:2:match", 60):
             task = decode(claimed[1])
             assert isinstance(task, RatingMatch)
-            log = [replace(match(i), a=a, b=b, due=task.due, seconds=0.1) for i, (a, b) in enumerate(task.pairs)]
+            log = [replace(match(i), a=a, b=b, due=task.due, seconds=1.0) for i, (a, b) in enumerate(task.pairs)]
             store.finish(claimed[0], matches=log)
             batches += 1
     return turns, batches

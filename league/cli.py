@@ -33,6 +33,7 @@ COMMANDS = {
     "play": ("league.commands.play", "an exhibition between two snapshots, recorded and not rated"),
     "exploit": ("league.commands.exploit", "train a fresh attacker against one frozen policy: how much does it take?"),
     "sprt": ("league.commands.sprt", "a sequential test of who is better, for seed pairs that you have counted"),
+    "migrate": ("league.commands.migrate", "bring the store of an earlier version up to date"),
     "verify": ("league.commands.verify", "whether all that a store has is there and whole; changes nothing"),
     "thin": ("league.commands.thin", "remove what a store can do without: orphans, old checkpoints, recordings"),
     "pack": ("league.commands.moving", "a league, or all leagues of a store, as one file"),

@@ -95,8 +95,9 @@ def _wanted(config: Config, standing: Standing, room: int) -> list[Pair]:
         }
         everyone = [s.name for s in standing.snapshots]
         found = pairings(
-            standing.ladder, everyone, quota=config.rating.quota, per_batch=room, always=first, may_meet=may_meet
-        )
+            standing.ladder, everyone, quota=config.rating.quota, per_batch=room, always=first, may_meet=may_meet,
+            kinds={s.name: f"roster {s.roster}" for s in standing.snapshots},
+        )  # fmt: skip
     return list(found)
 
 

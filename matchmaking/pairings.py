@@ -17,6 +17,7 @@ def pairings(
     per_batch: int,
     always: Mapping[str, Sequence[str]] | None = None,
     may_meet: Callable[[str, str], bool] = lambda a, b: True,
+    kinds: Mapping[str, str] | None = None,
 ) -> list[tuple[str, str]]:
     """The pairs of snapshots to be rated next, most useful first.
 
@@ -39,6 +40,7 @@ def pairings(
         per_batch: at most so many pairs.
         always: snapshot -> opponents that it shall meet first, e.g. its player's initial snapshot, in order.
         may_meet: whether two snapshots can play each other at all, e.g. by their rosters; symmetric.
+        kinds: snapshot -> its kind, where that decides who may meet: then one of each is asked for all.
 
     Returns:
         pairs (candidate, opponent), no pair twice and no one against itself; empty once every pair has its quota.
@@ -46,7 +48,8 @@ def pairings(
     payoff = ladder.payoff
     newest_first = [payoff.index(name) for name in reversed(candidates)]
     first_of = {payoff.index(a): [payoff.index(b) for b in others] for a, others in (always or {}).items()}
-    wanted = _wanted(payoff, newest_first, first_of, quota, may_meet)
+    wanted = _wanted(payoff, newest_first, first_of, quota)
+    wanted &= _able(payoff.names, wanted, kinds or {}, may_meet)
     if not wanted.any():
         return []
     knowledge, parts = _Knowledge(ladder), _parts(payoff)
@@ -78,18 +81,27 @@ def _wanted(
     candidates: Sequence[int],
     always: Mapping[int, Sequence[int]],
     quota: int,
-    may_meet: Callable[[str, str], bool],
 ) -> np.ndarray:
-    """(P, P) Whether candidate i asks for j: one it may choose and meet, and has not met for `quota` episodes."""
+    """(P, P) Whether candidate i asks for j: one it may choose, and has not met for `quota` episodes."""
     wanted = np.zeros(payoff.episodes.shape, bool)
     wanted[np.ix_(candidates, candidates)] = True
     for i in candidates:
         wanted[i, list(always.get(i, ()))] = True
     np.fill_diagonal(wanted, False)
-    wanted &= payoff.episodes < quota
-    for i, j in np.argwhere(wanted):
-        wanted[i, j] = may_meet(payoff.names[i], payoff.names[j])
-    return wanted
+    return wanted & (payoff.episodes < quota)
+
+
+def _able(
+    names: Sequence[str], wanted: np.ndarray, kinds: Mapping[str, str], may_meet: Callable[[str, str], bool]
+) -> np.ndarray:
+    """(P, P) Who may meet whom, of those that are wanted. A snapshot without a kind is one of its own."""
+    _, first, kind = np.unique([kinds.get(name, name) for name in names], return_index=True, return_inverse=True)
+    met = np.zeros((len(first), len(first)), bool)
+    i, j = np.nonzero(wanted)
+    met[kind[i], kind[j]] = True
+    for a, b in np.argwhere(met):
+        met[a, b] = may_meet(names[first[a]], names[first[b]])
+    return met[kind[:, None], kind]
 
 
 def _parts(payoff: Payoff) -> np.ndarray:

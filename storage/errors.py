@@ -4,6 +4,7 @@ StorageError
 ├── Away            the store or its disk cannot be reached, or is full or locked, now: wait and try again
 ├── NotAStore       nothing there, or something else is
 ├── OldStore        written by an earlier version whose stores this one does not read
+├── OutdatedStore   written by an earlier version, and nobody has asked to bring it up to date
 ├── NewerStore      written by a later version of this program
 ├── DamagedBlob     a blob is missing or its bytes are not those it is named by
 ├── LeaseLost       a result came from a worker that no longer holds the job
@@ -44,6 +45,16 @@ class OldStore(StorageError):
         super().__init__(
             f"{where} has schema {found}, from before the first that can be brought up to date ({first}); it was left "
             "untouched: give another place for a new store."
+        )
+
+
+class OutdatedStore(StorageError):
+    """The schema of a store on a server is older than today's, and nobody has asked to bring it up to date."""
+
+    def __init__(self, where: str, found: int, known: int):
+        super().__init__(
+            f"{where} has schema {found}, and this program's is {known}: stop what runs there, keep a copy (pg_dump),"
+            " then `league migrate` brings it up to date."
         )
 
 

@@ -107,7 +107,7 @@ class Rows:
             raise OldStore(self._report.where, schema, t.FIRST_SCHEMA)
         elif schema < t.newest_schema():
             raise StorageError(
-                f"{self._report.where} has schema {schema}, and today's is {t.newest_schema()}: `league status` brings"
+                f"{self._report.where} has schema {schema}, and today's is {t.newest_schema()}: `league migrate` brings"
                 " it up to date; what verifies changes nothing."
             )
 

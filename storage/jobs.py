@@ -49,7 +49,7 @@ def claim(
 
 
 @lru_cache
-def _looking(league: str, kinds: tuple[str, ...], max_attempts: int) -> sa.Select[Any]:
+def _looking(league: str, kinds: tuple[str, ...], max_attempts: int) -> Any:
     claimable, hopeless = _claimable(league, kinds, max_attempts)
     return sa.select(*(sa.exists(sa.select(t.jobs.c.id).where(each)) for each in (claimable, hopeless)))
 

@@ -1,9 +1,12 @@
 """Opening a store's database: finding, making, migrating and refusing it."""
 
 import json
+import os
+import secrets
 import sqlite3
 import stat
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +16,21 @@ from sqlalchemy.exc import DBAPIError, NoSuchModuleError
 
 from storage import tables as t
 from storage.database import BUSY_SECONDS, plain_errors
-from storage.errors import NewerStore, NotAStore, OldStore, StorageError, disk_error
-from storage.places import shown
+from storage.errors import NewerStore, NotAStore, OldStore, OutdatedStore, StorageError, disk_error
+from storage.places import copied, shown
 
 
-def open_database(url: sa.URL, create: bool) -> sa.Engine:
+def open_database(url: sa.URL, create: bool, migrate: bool = False) -> sa.Engine:
     """Connect to the store at `url`, making it if `create` and nothing is there, and bring its schema up to date.
+
+    A SQLite file of an older schema is copied before, to `league.db.schema-3` or so; what is on a server is brought up
+    to date where `migrate` asks for it.
 
     Nothing is written to a store of today's schema, nor ever to a database that is something else. Transactions of
     `engine.execution_options(writes=True)` take SQLite's write lock at once, the others read.
 
-    Raises NotAStore, OldStore, NewerStore, Away (no server now) or StorageError (no permission, no driver).
+    Raises NotAStore, OldStore, OutdatedStore, NewerStore, Away (no server now) or StorageError (no permission, no
+    driver, no room for a copy).
     """
     where = shown(url)
     if url.get_backend_name() == "sqlite":
@@ -37,6 +44,10 @@ def open_database(url: sa.URL, create: bool) -> sa.Engine:
                 found = _schema(engine, where)
             if found == 0 and not create:
                 raise NotAStore(f"No league store at {where}: `league run` makes one.")
+            if 0 < found < t.newest_schema() and url.get_backend_name() == "sqlite":
+                _keep_copy(Path(where))
+            elif 0 < found < t.newest_schema() and not migrate:
+                raise OutdatedStore(where, found, t.newest_schema())
             if found < t.newest_schema():
                 _migrate(engine)
     except BaseException:
@@ -133,6 +144,27 @@ def _schema(engine: sa.Engine, where: str) -> int:
     if found > t.newest_schema():
         raise NewerStore(where, found, t.newest_schema())
     return found
+
+
+def _keep_copy(path: Path) -> None:
+    """Copy a SQLite store of an older schema to a file beside it, by whose name it tells which; all of it, or nothing.
+
+    Others may be bringing the store up to date meanwhile: what is copied of today's schema is thrown away.
+    """
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    try:
+        with closing(sqlite3.connect(path, timeout=BUSY_SECONDS)) as db:
+            db.execute("VACUUM INTO ?", (str(partial),))
+        with closing(sqlite3.connect(partial)) as copy:
+            (schema,) = copy.execute(f"SELECT max(schema) FROM {t.changes.name}").fetchone()
+        if schema < t.newest_schema():
+            os.replace(partial, copied(path, schema))
+    except (sqlite3.Error, OSError) as error:
+        raise StorageError(
+            f"{path} could not be copied before it is brought up to date, and stays: {error}."
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _migrate(engine: sa.Engine) -> None:

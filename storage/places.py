@@ -91,10 +91,19 @@ def are_apart(blobs: str, url: sa.URL) -> bool:
         return False
     file = Path(shown(url))
     try:
-        others = [path for path in file.parent.iterdir() if path != file] if file.parent.is_dir() else []
+        others = (
+            [path for path in file.parent.iterdir() if path != file and not path.match(copied(file, "*").name)]
+            if file.parent.is_dir()
+            else []
+        )
     except OSError:
         return False
     return Path(blobs).absolute() == file.parent / "blobs" and not any(map(_may_be_database, others))
+
+
+def copied(database: Path, schema: int | str) -> Path:
+    """Where the copy of a SQLite store is kept that was made before it was brought up to date from a schema."""
+    return database.with_name(f"{database.name}.schema-{schema}")
 
 
 def _may_be_database(path: Path) -> bool:

@@ -32,20 +32,25 @@ class Store(Leading, Players, Log, Queue):
 
     @classmethod
     def open(
-        cls, where: str | os.PathLike[str], create: bool = False, blobs: str | os.PathLike[str] | None = None
+        cls,
+        where: str | os.PathLike[str],
+        create: bool = False,
+        blobs: str | os.PathLike[str] | None = None,
+        migrate: bool = False,
     ) -> Self:
         """Open the store in a folder, or at `sqlite:///path/to/league.db`, or at a `postgresql://` URL.
 
         A folder holds `league.db` and `blobs/`. Blobs are kept at `blobs`, else where ROBOT_LEAGUE_BLOBS says, else
         beside a SQLite file. With `create`, a store is made where nothing is. Opening a store of today's schema writes
-        nothing.
+        nothing. One of an older schema is brought up to date: a SQLite file after a copy of it, a server's where
+        `migrate` asks for it.
 
-        Raises NotAStore, OldStore, NewerStore, Away (no server now) or StorageError (no permission, no place for
-        blobs, no such kind of URL).
+        Raises NotAStore, OldStore, OutdatedStore, NewerStore, Away (no server now) or StorageError (no permission, no
+        place for blobs, no such kind of URL).
         """
         url = database_url(where)
         kept = open_blobs(blobs_place(blobs, url))
-        return cls(Database(open_database(url, create), shown(url)), kept)
+        return cls(Database(open_database(url, create, migrate), shown(url)), kept)
 
     def close(self) -> None:
         """Close the connections; the store can still be used and then opens new ones."""

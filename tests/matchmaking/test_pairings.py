@@ -73,6 +73,21 @@ def test_only_those_who_can_meet_are_paired():
     assert all(a[:-1] != b[:-1] for a, b in plan)
 
 
+def test_of_each_kind_one_is_asked_whom_all_may_meet():
+    kinds = {name: name[:-1] for name in ("blue0", "blue1", "blue2", "red0", "red1")}
+    asked = []
+
+    def may_meet(a: str, b: str) -> bool:
+        asked.append((a, b))
+        return a[:-1] != b[:-1]
+
+    given = (Ladder(kinds, []), list(kinds))
+    with_kinds = pairings(*given, quota=4, per_batch=9, may_meet=may_meet, kinds=kinds)
+    assert len(asked) == 4
+    assert with_kinds == pairings(*given, quota=4, per_batch=9, may_meet=may_meet)
+    assert len(with_kinds) == 6
+
+
 def test_the_same_arguments_give_the_same_plan_whatever_the_order_of_matches(simulate):
     names = [f"s{i}" for i in range(7)]
     rng = np.random.default_rng(3)

@@ -13,7 +13,8 @@ import pytest
 import sqlalchemy as sa
 
 from storage import tables
-from storage.errors import Away, NewerStore, NotAStore, OldStore, StorageError
+from storage.errors import Away, NewerStore, NotAStore, OldStore, OutdatedStore, StorageError
+from storage.places import are_apart, database_url
 from storage.records import League
 from storage.store import Store
 from tests.storage.conftest import fill, finish_a_job, match
@@ -161,7 +162,9 @@ def test_a_store_of_the_first_schema_is_refused_and_left_as_it_is(place: tuple[s
     assert "\n" not in str(caught.value)
 
 
-def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nobody_knows(place: tuple[str, str]):
+def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nobody_knows(
+    place: tuple[str, str], tmp_path: Path
+):
     where, blobs = place
     with Store.open(where, create=True, blobs=blobs) as store:
         fill(store)
@@ -171,11 +174,22 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
                 db.execute(sa.text(f"ALTER TABLE matches DROP COLUMN {column}"))
             db.execute(sa.text("DROP TABLE meetings"))
             db.execute(sa.update(tables.changes).values(schema=2))
-    with Store.open(where, blobs=blobs) as store:
+    copy = tmp_path / "store" / "league.db.schema-2"
+    if "://" in where:  # what is on a server is brought up to date by those who ask for it
+        with pytest.raises(OutdatedStore, match=r"has schema 2, and this program's is 4: .*`league migrate`") as caught:
+            Store.open(where, blobs=blobs, create=True)
+        assert "\n" not in str(caught.value)
+    with Store.open(where, blobs=blobs, migrate=True) as store:
         finish_a_job(store, matches=[replace(match(2), seconds=1.5, due=7.25)])
         assert [(m.seed, m.seconds, m.due) for m in store.matches("cup")] == [(1, 0.0, None), (2, 1.5, 7.25)]
         assert store.booked("cup") == (1.5, 7.25)
         assert store.meetings("cup") == []
+    if "://" not in where:
+        assert are_apart(blobs, database_url(where))
+        db = sqlite3.connect(copy)
+        assert db.execute("SELECT max(schema) FROM robot_league").fetchone() == (2,)
+        assert db.execute("SELECT seed FROM matches").fetchall() == [(1,)]
+        db.close()
 
 
 def add_notes(db: sa.Connection) -> None:
@@ -197,14 +211,27 @@ def test_each_migration_is_whole_recorded_and_made_once(place: tuple[str, str], 
     made_so_far = tables.MIGRATIONS
     monkeypatch.setattr(tables, "MIGRATIONS", [*made_so_far, add_notes, fill_notes_and_fail])
     with pytest.raises(StorageError, match="nowhere"):
-        Store.open(where, blobs=blobs)
+        Store.open(where, blobs=blobs, migrate=True)
     monkeypatch.setattr(tables, "MIGRATIONS", [*made_so_far, add_notes, fill_notes])
     for _ in range(2):
-        with Store.open(where, blobs=blobs) as store, store._db.engine.connect() as db:
+        with Store.open(where, blobs=blobs, migrate=True) as store, store._db.engine.connect() as db:
             made = db.execute(sa.select(tables.changes.c.schema, tables.changes.c.change)).all()
             notes = db.execute(sa.text("SELECT body FROM notes")).all()
         assert sorted(map(tuple, made)) == [(4, "created"), (5, "add_notes"), (6, "fill_notes")]
         assert notes == [("whole",)]
+
+
+def test_a_store_that_cannot_be_copied_is_not_brought_up_to_date(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    Store.open(tmp_path, create=True).close()
+    monkeypatch.setattr(tables, "MIGRATIONS", [*tables.MIGRATIONS, add_notes])
+    (tmp_path / "league.db.schema-4").mkdir()
+    with pytest.raises(StorageError, match=r"could not be copied before .* and stays") as caught:
+        Store.open(tmp_path)
+    assert "\n" not in str(caught.value)
+    (tmp_path / "league.db.schema-4").rmdir()
+    monkeypatch.undo()
+    Store.open(tmp_path).close()  # it is what it was
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith((".league", "league.db.schema"))]
 
 
 def make(where: str, blobs: str, name: str) -> None:
