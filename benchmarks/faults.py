@@ -38,6 +38,7 @@ from benchmarks.servers import Line, Server, programs, small_disk  # noqa: E402
 OFTEN = {
     harm.kill_one: 10, harm.kill_all: 10, harm.freeze: 1, harm.second_manager: 1,
     harm.fill_disk: 3, harm.restart_server: 2, harm.cut_line: 2,
+    harm.skewed_worker: 2,
 }  # fmt: skip
 DISK = 8  # MB; a league needs about 2
 Harm = Callable[[Scene], Counter[str]]
@@ -63,7 +64,9 @@ def scene(folder: Path, database: str, steps: int, dice: random.Random, disk: bo
 
 def possible(scene: Scene, chosen: list[str]) -> dict[Harm, int]:
     """What can be done there, of what was chosen, and how often."""
+    clock = scene.server and harm.faketime()  # SQLite's clock is that of whoever asks
     needs = {harm.fill_disk: scene.disk, harm.restart_server: scene.server, harm.cut_line: scene.line}
+    needs[harm.skewed_worker] = clock
     return {do: n for do, n in OFTEN.items() if needs.get(do, True) and (not chosen or do.__name__ in chosen)}
 
 

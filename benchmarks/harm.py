@@ -100,6 +100,20 @@ def cut_line(scene: Scene) -> Counter[str]:
     return Counter({f"network {'silent' if silent else 'cut'}": 1})
 
 
+def skewed_worker(scene: Scene) -> Counter[str]:
+    """Let a worker join whose clock is an hour before or behind that of all others."""
+    skew = scene.dice.choice(("+1h", "-1h"))
+    told = {"LD_PRELOAD": str(faketime()), "FAKETIME": skew, "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
+    joined = scene.hunted.start("worker", **told)
+    scene.hunted.seen.add(joined.pid)
+    return Counter({f"worker joined with its clock {skew}": 1})
+
+
+def faketime() -> Path | None:
+    """The library that gives a process another clock; None where it is not installed."""
+    return next(iter(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")), None)
+
+
 def damage(scene: Scene) -> Counter[str]:
     """Truncate, flip a bit of, or remove a blob that a row names; verify finds that and no more; put it back.
 

@@ -68,11 +68,11 @@ class Hunted:
         """A command about it, run to its end."""
         return subprocess.run(self.command(*args), capture_output=True, text=True, timeout=600, env=environment())
 
-    def start(self) -> subprocess.Popen[bytes]:
-        """Run it, in a session of its own."""
-        run = self.command("run", *FLAGS, "--budget.steps", str(self.steps))
+    def start(self, command: str = "run", **also: str) -> subprocess.Popen[bytes]:
+        """Run it, or work for it, in a session of its own; `also` goes into the environment."""
+        call = self.command(command, *((*FLAGS, "--budget.steps", str(self.steps)) if command == "run" else ()))
         with self.log.open("ab") as out:
-            return subprocess.Popen(run, stdout=out, stderr=out, env=environment(), start_new_session=True)
+            return subprocess.Popen(call, stdout=out, stderr=out, env=environment() | also, start_new_session=True)
 
     def keep_running(self) -> bool:
         """Start it where it does not run; whether it has come to its end."""

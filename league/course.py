@@ -39,5 +39,5 @@ def stages_of(text: str) -> tuple[str, ...]:
     try:
         tables: Sequence[Mapping[str, Any]] = tomllib.loads(text).get("stages", ())
         return tuple(str(table["name"]) for table in tables)
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, AttributeError):
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError):
         return ()

@@ -109,6 +109,8 @@ class Manager:
             self._leave()
             for number, handler in handlers.items():
                 signal.signal(number, handler)
+            if self.hurried:
+                raise KeyboardInterrupt
 
     # What comes next -------------------------------------------------------------------------------------------------
 

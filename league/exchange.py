@@ -309,5 +309,5 @@ def _arena(league: Open) -> str:
     """The arena of a league, as its settings name it."""
     try:
         return f" in {tomllib.loads(league.store.league(league.league).config)['arena']['name']}"
-    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+    except (ValueError, RecursionError, KeyError, TypeError):
         return ""

@@ -108,7 +108,7 @@ def needed(store: Store, names: Sequence[str]) -> list[str]:
         found.add(name)
         if walk := course(store, name):
             left += [walk.root, *(stage for each in walk.stages if (stage := f"{walk.root}.{each}") in there)]
-        with suppress(tomllib.TOMLDecodeError, TypeError):
+        with suppress(ValueError, RecursionError, TypeError):
             after = map(str, tomllib.loads(there[name]).get("after", ()))
             left += [each for each in after if each in there or each not in trained()]
     return [name for name in there if name in found]
@@ -204,7 +204,7 @@ def _examine(archive: Archive, tell: Tell) -> list[str]:
         for name, text in configs.items():
             try:
                 tomllib.loads(text)
-            except (tomllib.TOMLDecodeError, RecursionError):
+            except (ValueError, RecursionError):
                 raise ValueError(f"the configuration of league {name!r} is not TOML") from None
     except ValueError as error:
         raise archive.bad(error) from None
@@ -258,7 +258,7 @@ def with_values(text: str, changes: Mapping[Key, Any]) -> str:
         at = places[key] - 1
         end = lines[at][len(lines[at].rstrip("\r\n")) :]
         lines[at] = f"{lines[at].partition('=')[0].rstrip()} = {literal(value)}{end}"
-    with suppress(tomllib.TOMLDecodeError):
+    with suppress(ValueError, RecursionError):
         if tomllib.loads(changed := "".join(lines)) == wanted:
             return changed
     told = ", ".join(".".join(key) for key in changes)

@@ -144,7 +144,7 @@ class Open:
             for name in key:
                 value = value[name]
             return type(otherwise)(value)
-        except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError):
+        except (ValueError, RecursionError, KeyError, TypeError):
             return otherwise
 
     def roles(self) -> Callable[[str], "Role"]:

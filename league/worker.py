@@ -238,7 +238,8 @@ class Worker:
         referee = self._referee()
         self.status, began = {**self.status, "doing": "rating", "pairs": len(task.pairs)}, time.monotonic()
         found = referee.play(self.store, task)
-        self.status["steps_per_second"] = sum(match.steps for match in found) / (time.monotonic() - began)
+        rate = sum(match.steps for match in found) / (time.monotonic() - began)
+        self.status = {**self.status, "steps_per_second": rate}  # anew, for the other thread reads it
         matches = [replace(match, seconds=referee.seconds / len(found), due=task.due) for match in found]
         self._patiently(lambda: self.store.finish(lease, matches=matches))
 

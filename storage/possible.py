@@ -23,7 +23,7 @@ def check_possible(table: str, row: Mapping[str, Any]) -> None:
 def _league(row: Mapping[str, Any]) -> None:
     try:
         tomllib.loads(row["config"])
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"its configuration is not TOML: {error}") from None
 
 

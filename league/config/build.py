@@ -148,7 +148,7 @@ def from_text(text: str, hint: Any, key: Key) -> Any:
 
         try:
             return tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             raise refuse(key, text, f"expected {expected(hint)}, as in a file") from None
     if get_origin(kind) is tuple:
         parts = [part.strip() for part in text.split(",") if part.strip()]

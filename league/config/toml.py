@@ -98,8 +98,9 @@ def parse(text: str, source: str = "league.toml") -> dict[str, Any]:
     """Read TOML as dictionaries; raises ConfigError, one line with the file and the line, where it is not TOML."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        what, _, where = str(error).rpartition(" (at ")
+    except (ValueError, RecursionError) as error:
+        told = isinstance(error, tomllib.TOMLDecodeError)
+        what, _, where = str(error if told else "too many digits, or brackets within brackets").partition(" (at ")
         found = re.match(r"line (\d+), column (\d+)", where)
         line, column = (found[1], f" (column {found[2]})") if found else (len(text.splitlines()), "")
         raise ConfigError((), f"not TOML: {what}{column}", f"{source}:{line}: ") from None

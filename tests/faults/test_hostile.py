@@ -1,13 +1,15 @@
 """Bad input of every class, a few cases each: one line, exit code 2, nothing changed; thousands: benchmarks/fuzz.py."""
 
 import ast
+import contextlib
 import pickle
+import sqlite3
 from pathlib import Path
 
 import pytest
 
-from benchmarks.fuzz import answer, corpus, tally
-from benchmarks.hostile import CLASSES
+from benchmarks.fuzz import answer, corpus, tally, tried
+from benchmarks.hostile import CLASSES, Case
 from storage.store import Store
 from tests.league.conftest import ROOT
 
@@ -75,3 +77,27 @@ def test_a_pickle_in_place_of_any_file_is_refused_and_not_run(kept: Path, tmp_pa
         assert not fired.exists(), args
     pickle.loads(bomb)
     assert fired.exists()  # it would have
+
+
+FOUND = {
+    "curves of a league that has not learnt": (("curves", "--store", "store"), "DELETE FROM curves", 0),
+    "matches of a league without players": (("payoff", "--store", "store"), "DELETE FROM players", 2),
+    "a name that is no text": (("forgetting", "--store", "store"), "UPDATE OR IGNORE snapshots SET name = x'91ff'", 2),
+    "a number of more digits than Python reads": (("run", "big.toml", "--help"), "", 2),
+    "an archive that begins too late": (("unpack", "late.zip", "--store", "new"), "", 2),
+}
+"""What the thousands have found, and now has a good answer."""
+
+
+@pytest.mark.parametrize("what", FOUND)
+def test_what_was_found_once_stays_answered(what: str, kept: Path, tmp_path: Path):
+    args, statement, expected = FOUND[what]
+
+    def harm(folder: Path) -> None:
+        (folder / "big.toml").write_text(f"seed = {'7' * 10_000}")
+        (folder / "late.zip").write_bytes((folder / "cup.zip").read_bytes()[40:])
+        with contextlib.closing(sqlite3.connect(folder / "store" / "league.db")) as rows, rows:
+            rows.executescript(statement)
+
+    code, bad, said = tried(Case(args, harm), kept, tmp_path / "case")
+    assert (code, bad) == (expected, ""), said

@@ -412,6 +412,20 @@ def test_when_training_is_over_matches_take_all_that_there_is():
     assert dues(sharing(), still) == []
 
 
+def test_in_a_deterministic_league_nothing_hangs_on_how_long_learning_took():
+    config = replace(sharing(), deterministic=True, budget=configuration.Budget(steps=10**9))
+    logs = []
+    for seconds in (9.0, 250.0):
+        assert dues(config, under_way(seconds)) == []
+        state = under_way(seconds, snapshots=snapshots(0, 1, 16, 64, seconds=seconds / 64))
+        over = replace(config, budget=configuration.Budget(steps=1))
+        newest = next(s for s in state.snapshots if s.name == "blue@64")
+        assert [s.name for s in yardsticks(over, state, newest)] == ["blue@0", "pusher"]
+        logs.append(pairs_of(plan.next_matches(over, state)))
+    assert logs[0] == logs[1]
+    assert logs[0]
+
+
 def test_none_or_all_of_it():
     assert dues(sharing(0.0), under_way(0.0)) == []
     assert dues(sharing(0.0), under_way(250.0)) == []

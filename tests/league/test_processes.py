@@ -59,10 +59,10 @@ def test_a_worker_joins_from_outside_learns_rates_and_ends_with_the_manager(tmp_
 
 @pytest.mark.slow  # a quarter of a minute
 def test_the_first_interrupt_drains_and_the_second_ends_all_at_once(tmp_path):
-    run = start("run", *GAME, cwd=tmp_path)
-    found = wait_for(tmp_path, lambda store: pids(store, "train", "match") if store.jobs("tiny", "done") else [])
-    for pid in found:
-        os.kill(pid, signal.SIGSTOP)  # they will never drain
+    """An iteration lasts for minutes here, for which the workers ask when they are told to stop."""
+    run = start("run", *GAME, "--training.rollout", "50000", cwd=tmp_path)
+    wait_for(tmp_path, lambda store: store.jobs("tiny", "done") and store.jobs("tiny", "leased"))
+    found = wait_for(tmp_path, lambda store: pids(store, "train", "match"))
     run.send_signal(signal.SIGINT)
     wait_for(tmp_path, lambda store: any(w.status == {"doing": "stopped"} for w in store.workers("tiny", 60)))
     run.send_signal(signal.SIGINT)

@@ -232,6 +232,7 @@ def test_a_value_of_the_base_is_refused_without_a_line():
     ("text", "message"),
     [
         ("seed = 1\nname = \n", "2: not TOML: Invalid value (column 8)"),
+        (f"seed = {'9' * 10_000}", "1: not TOML: too many digits, or brackets within brackets"),
         ("seed = 1\nseed = 2", "2: not TOML: Cannot overwrite a value"),
         ('seed = 1\nname = """x', "2: not TOML: Unterminated string"),
     ],

@@ -1,0 +1,82 @@
+"""What lies in deploy/ is taken by the tools that it is for, as far as these are here."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+
+import kubernetes_validate
+import pytest
+import yaml
+
+from league import cli
+from league.commands import worker
+from league.commands.options import parse
+from league.config import experiment as configuration
+from tests.league.conftest import ROOT
+
+DEPLOY = ROOT / "deploy"
+SLURM = (
+    "ClusterName=x\nSlurmctldHost=127.0.0.1\nAuthType=auth/none\nMessageTimeout=1\nGresTypes=gpu\n"
+    "NodeName=localhost CPUs=2\nPartitionName=all Nodes=ALL Default=YES\n"
+)
+
+
+def said(*call: object, **given) -> str:
+    done = subprocess.run([*map(str, call)], capture_output=True, text=True, timeout=60, check=False, **given)
+    return done.stdout + done.stderr
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
+@pytest.mark.parametrize("unit", ["league.service", "league-worker.service"])
+def test_systemd_takes_its_units(unit, tmp_path):
+    assert said("systemd-analyze", "verify", DEPLOY / unit) == ""
+    broken = tmp_path / unit
+    broken.write_text((DEPLOY / unit).read_text().replace("Restart=", "Restort="))
+    assert "Restort" in said("systemd-analyze", "verify", broken)
+
+
+def test_the_script_for_slurm_is_one_of_bash():
+    assert said("bash", "-n", DEPLOY / "league.sbatch") == ""
+
+
+@pytest.mark.skipif(shutil.which("sbatch") is None, reason="no Slurm here")
+def test_slurm_takes_its_script_as_far_as_it_can_without_a_controller(tmp_path):
+    settings, script = tmp_path / "slurm.conf", tmp_path / "league.sbatch"
+    settings.write_text(SLURM)
+    text = (DEPLOY / "league.sbatch").read_text()
+    for given, answer in ((text, "Unable to contact slurm controller"), (text.replace("--time=", "--tim="), "tim=")):
+        script.write_text(given)
+        assert answer in said(
+            "sbatch", "--test-only", script, "league.toml", env={**os.environ, "SLURM_CONF": str(settings)}
+        )
+
+
+def manifests() -> list[dict]:
+    return list(yaml.safe_load_all((DEPLOY / "league.yaml").read_text()))
+
+
+def test_kubernetes_takes_its_manifests():
+    for manifest in manifests():
+        kubernetes_validate.validate(manifest, kubernetes_validate.latest_version(), strict=True)
+    bad = manifests()[-1]
+    bad["spec"]["replicaz"] = bad["spec"].pop("replicas")
+    with pytest.raises(kubernetes_validate.ValidationError, match="replicaz"):
+        kubernetes_validate.validate(bad, kubernetes_validate.latest_version(), strict=True)
+
+
+def test_the_commands_that_they_start_are_ours_and_take_their_flags():
+    started = [m["spec"]["template"]["spec"]["containers"][0]["args"] for m in manifests() if m["kind"] == "Deployment"]
+    for name in ("league.service", "league-worker.service"):
+        started += [shlex.split(line) for line in re.findall(r"ExecStart=\S+ (.*)", (DEPLOY / name).read_text())]
+    started += [shlex.split(line)[1:] for line in re.findall(r"exec league .*", (DEPLOY / "league.sbatch").read_text())]
+    assert len(started) == 6
+    for program, command, *args in started:
+        assert (program, command in cli.COMMANDS) == ("league", True)
+        if command == "worker":
+            assert parse(worker.WorkerOptions, args, "worker", "").wait
+        else:
+            settings = manifests()[0]["data"]["league.toml"]
+            assert [word for word in args if word.startswith("--")] == ["--store"]
+            assert configuration.loads(settings).league == "main"
