@@ -1,17 +1,19 @@
 """Rock, paper, scissors through the real daemon: which rules for opponents find the even mixture, and which run in
 circles.
 
-    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--entropy 0.1] [--out FILE.json]
+    python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--entropy 0.1] [--every STEPS]
+        [--out FILE.json]
 
 For each rule and seed a league is run; then every snapshot's choices are computed from its Gaussian. Told are, for each
 player: how far (total variation, 0 to 2/3) the mean over its history, the average policy, the Nash mixture of its
 snapshots and its newest snapshot are from one third each, the mean distance of the snapshots, and how often they went
 round the middle. The Nash mixture is solved on the exact payoffs of the snapshots' choices.
 
-Fictitious play converges in the average policy, in which each iteration counts alike (Robinson 1951). Snapshots lie
-closer together the older they are, so the plain mean over them counts the first iterations more. The average here
-counts each snapshot for the iterations until the next one; it is told at each quarter of the history too, and so is
-what a best response gains against it, 0 to 1: its exploitability.
+Fictitious play converges in the average policy, in which each iteration counts alike (Robinson 1951), where that is
+also what is met. On the league's axis snapshots lie closer together the older they are, so the mixture that is met, the
+plain mean, is another one; with --every players are frozen every so many steps, and the two are the same. The average
+counts each snapshot for the iterations until the next one; it is told at each quarter of the history, and so is what a
+best response gains against it, 0 to 1: its exploitability.
 """
 
 import argparse
@@ -41,13 +43,14 @@ SETTINGS = (
 )  # fmt: skip
 
 
-def run(folder: Path, rule: str, seed: int, steps: int, entropy: float) -> None:
+def run(folder: Path, rule: str, seed: int, steps: int, entropy: float, every: int | None) -> None:
     """A league from its start to its end."""
+    evenly = () if every is None else ("--roles", f'[{{name = "main", timeout = {every}}}]')
     subprocess.run(
         [
             sys.executable, "-m", "league", "run", "--arena.name", "rock-paper-scissors", "--store", str(folder),
             "--seed", str(seed), "--steps", str(steps), "--budget.rate", "0s",
-            "--learner.entropy", str(entropy), "--training.opponents.kind", rule, *SETTINGS,
+            "--learner.entropy", str(entropy), "--training.opponents.kind", rule, *SETTINGS, *evenly,
         ],
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
@@ -105,18 +108,20 @@ def main() -> None:
     options.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
     options.add_argument("--steps", type=int, default=150_000)
     options.add_argument("--entropy", type=float, default=0.1)
+    options.add_argument("--every", type=int, metavar="STEPS")
     options.add_argument("--out", type=Path)
     asked = options.parse_args()
     found: dict[str, Any] = {
         "steps": asked.steps,
         "entropy": asked.entropy,
+        "every": asked.every,
         "settings": " ".join(SETTINGS),
         "leagues": [],
     }
     for rule in asked.rules:
         for seed in asked.seeds:
             with tempfile.TemporaryDirectory() as place:
-                run(Path(place), rule, seed, asked.steps, asked.entropy)
+                run(Path(place), rule, seed, asked.steps, asked.entropy, asked.every)
                 rows = choices(Path(place))
             for player, other in (("blue", "red"), ("red", "blue")):
                 row = {"rule": rule, "seed": seed, "player": player, **told(*rows[player], rows[other][0])}
