@@ -50,7 +50,7 @@ def explain(args: list[str]) -> int:
     else:
         print(_text(found))
         if found["population"]:
-            print(_wrapped(f"\nPopulation: {options.player} has {found['population']}."))
+            print("\n" + _wrapped(f"Population: {options.player} has {found['population']}."))
     return 0
 
 

@@ -62,6 +62,22 @@ def test_a_gate_accepts_who_is_better_and_rejects_who_is_not(hands, capsys):
     ]  # fmt: skip
 
 
+def test_a_gate_in_normalized_elo_is_decided_by_games_of_its_own(hands, capsys):
+    asked = ("--store", str(hands), "--elo1", "40", "--batch", "512", "--model", "normalized")
+    code, out, _ = said(capsys, "gate", "paper", "random", *asked)  # a third each is won, drawn and lost
+    assert code == gate.REJECTED
+    assert "Elo 0 against 40 (normalized)" in out
+    played = [m for m in log(hands) if m.purpose == "gate"]
+    wins, draws, losses = (sum(getattr(m, name) for m in played) for name in ("wins", "draws", "losses"))
+    assert all(0.25 < n / (wins + draws + losses) < 0.42 for n in (wins, draws, losses))
+    test = Sequential(0.0, 40.0, model="normalized")
+    assert test.result(gate.paired(played)).decision == "reject"
+    with Open(Store.open(hands)) as opened:
+        found = bout(opened, "paper", "random")
+        assert [m.seed for m in played] == [gate.seed(found, test, i) for i in range(len(played))]
+        assert gate.seed(found, Sequential(0.0, 40.0), 0) != played[0].seed
+
+
 def test_the_games_of_a_gate_count_for_ratings(hands, capsys):
     said(capsys, "gate", "paper", "rock", "--store", str(hands), "--elo1", "200")
     with Open(Store.open(hands)) as opened:

@@ -134,6 +134,13 @@ def test_an_exploiter_that_wins_is_verified_against():
     assert sum(p for name, p in found.items() if name.startswith("hunter")) > 0.6 > plain.sum()
 
 
+def test_league_exploiters_are_met_by_pfsp_alone():
+    hunter = replace(player("hunter", 1, group="2"), role="league_exploiter")
+    log = [games(f"red@{i}", 90, 10) for i in ITERATIONS] + [games(f"hunter@{i}", 5, 95) for i in ITERATIONS]
+    found = met("alphastar", standing(*log, players=(BLUE, RED, hunter)))
+    assert sum(p for name, p in found.items() if name.startswith("hunter")) == pytest.approx(0.5, abs=0.02)
+
+
 def test_a_victim_is_always_met_by_whom_it_fits():
     assert met("fixed", standing(), victim="rock") == {"rock": 1, "red": 0}
     assert met("fixed", standing(), victim="red@2") == {"red@2": 1, "red": 0}
