@@ -133,10 +133,10 @@ class Painter:
 
     def _paint_ground(self, spacing: float) -> np.ndarray:
         """(height, width, 3) The colour of ground and sky where nothing stands."""
-        line = (np.abs((self._ground + spacing / 2) % spacing - spacing / 2) < 0.02 * spacing).any(axis=-1)
+        off = np.abs((self._ground + spacing / 2) % spacing - spacing / 2).min(axis=-1, keepdims=True)
         far = np.linalg.norm(self._ground, axis=-1) / self.scene.radius
         fade = np.where(np.isnan(far), 1.0, np.clip((far - 1.5) / 5, 0, 1)).astype(np.float32)[..., None]
-        ground = np.where(line[..., None], GRID, GROUND)
+        ground = np.where(off < 0.02 * spacing, GRID, GROUND)
         return (1 - fade) * ground + fade * SKY
 
 

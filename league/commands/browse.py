@@ -43,7 +43,7 @@ def browse(args: list[str]) -> int:
         with viewer.catalog(Path(folder), options.port if options.web else None) as address:
             if not options.web:
                 return subprocess.run([executable(), address], check=False).returncode
-            print(f"{address}\nshows them in a browser on this machine; Ctrl-C ends that.", flush=True)
+            print(f"{address}\nshows them in a browser on this machine: click on league. Ctrl-C ends that.", flush=True)
             while True:
                 time.sleep(1)
     return 0
