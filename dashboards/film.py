@@ -95,7 +95,7 @@ class Film:
         font = _font(self.size[1] / 40)
         for robot in self.scene.robots:
             who = self.scene.cast[robot.side]
-            over = self.scene.xpos[step, robot.body] + [0, 0, 1.3 * robot.size]
+            over = self.scene.label(robot)[step]
             x, y, ahead = self.camera.project(over[None])[0] / [FINER, FINER, 1]
             if ahead > 0 and np.isfinite(x + y):
                 box = pen.textbbox((x, y), who.label, font=font, anchor="mb")

@@ -110,7 +110,7 @@ def _entities(kinds: dict[str, Any], scene: Replay, recording: Recording) -> Ite
             for geom in geoms:
                 _add(kinds, entity, model, kind, geom, 20 * scene.radius)
         if robot := labels.get(body):
-            over = _pose(kinds, np.array([0, 0, 1.2 * robot.size]), np.array([1.0, 0, 0, 0]))
+            over = _pose(kinds, np.array([0, 0, scene.label_height(robot)]), np.array([1.0, 0, 0, 0]))
             colour = _colour(kinds, np.array([*scene.cast[robot.side].colour, 255]))
             label = scene.cast[robot.side].label
             entity.texts.add(pose=over, billboard=True, font_size=14, scale_invariant=True, color=colour, text=label)
