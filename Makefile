@@ -33,6 +33,6 @@ $(STAMP): pyproject.toml constraints.txt
 		echo "Robot League needs Python 3.11, 3.12 or 3.13, and $(PYTHON) is not one: name it, as in make PYTHON=python3.12 $(MAKECMDGOALS)"; \
 		exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
-	extras=view,dash,dev; if nvidia-smi -L >/dev/null 2>&1; then extras=$$extras,cuda; fi; \
+	extras=view,video,foxglove,dash,dev; if nvidia-smi -L >/dev/null 2>&1; then extras=$$extras,cuda; fi; \
 		$(BIN)/python -m pip install -c constraints.txt -e ".[$$extras]"
 	@touch $@

@@ -56,12 +56,16 @@ class HeadlessViewer:
         """The viewer's own account of its recordings and views, a `rerun.experimental.ViewerState`."""
         return self._ask(self._client.get_state)
 
+    def open(self, what: str) -> None:
+        """Load a file, or follow the address of a hub."""
+        self._ask(lambda: self._client.open(what))
+
     def picture(self, rrd: Path, timeline: str, seconds: float) -> bytes:
         """A PNG of a file at a moment of one of its timelines.
 
         The viewer loads while it draws, and its first pictures may hold a bubble with a message.
         """
-        self._ask(lambda: self._client.open(str(rrd)))
+        self.open(str(rrd))
         self._ask(lambda: self._client.set_time(timeline, duration=seconds, play_state="paused"))
         last: list[bytes] = []
         while len(last) < ALIKE:
@@ -98,11 +102,10 @@ def headless_viewer(size: tuple[int, int]) -> Iterator[HeadlessViewer]:
 
     Started here rather than by `ViewerClient.spawn`, which cannot set the size of the picture and hides why it failed.
     """
-    remove_what_the_killed_left()
-    with tempfile.TemporaryDirectory(prefix=FOLDER, ignore_cleanup_errors=True) as folder, _locked_log(folder) as log:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = free.getsockname()[1]
-        process = _start(log, port, size)
+    with logged() as log:
+        port = free_port()
+        window = f"{size[0]}x{size[1] + TITLE_BAR}"
+        process = start(log, "--headless", "--window-size", window, "--port", str(port), "--hide-welcome-screen")
         patience = threading.Timer(PATIENCE, process.kill)  # a call to a viewer that hangs would never return
         patience.start()
         try:
@@ -113,13 +116,13 @@ def headless_viewer(size: tuple[int, int]) -> Iterator[HeadlessViewer]:
             process.wait()
 
 
-def _start(log: IO[bytes], port: int, size: tuple[int, int]) -> subprocess.Popen[bytes]:
-    window = f"{size[0]}x{size[1] + TITLE_BAR}"
-    options = ["--headless", "--window-size", window, "--port", str(port), "--bind", "127.0.0.1"]
+def start(log: IO[bytes], *options: str) -> subprocess.Popen[bytes]:
+    """Rerun's own program, which ends when this process does; it listens to this machine alone, and says into `log`."""
     folder = os.path.dirname(log.name)
+    local = ("--host", "127.0.0.1") if options[:1] == ("server",) else ("--bind", "127.0.0.1")
     environment = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error", "TMPDIR": folder}  # it shows lesser logs as bubbles
     return subprocess.Popen(
-        [sys.executable, "-I", "-c", LAUNCH, str(os.getpid()), _executable(), *options, "--hide-welcome-screen"],
+        [sys.executable, "-I", "-c", LAUNCH, str(os.getpid()), executable(), *options, *local],
         env=os.environ | environment,
         stdin=subprocess.DEVNULL,
         stdout=log,
@@ -128,11 +131,38 @@ def _start(log: IO[bytes], port: int, size: tuple[int, int]) -> subprocess.Popen
     )
 
 
-def _executable() -> str:
+def executable() -> str:
     """The viewer itself: the `rerun` command is a Python program that starts it as a child, which outlives it."""
     import rerun_cli
 
     return os.environ.get("RERUN_CLI_PATH") or str(Path(str(rerun_cli.__file__)).with_name("rerun"))
+
+
+@contextmanager
+def logged() -> Iterator[IO[bytes]]:
+    """A log in a folder of its own, which ends with the block."""
+    remove_what_the_killed_left()
+    with tempfile.TemporaryDirectory(prefix=FOLDER, ignore_cleanup_errors=True) as folder, _locked_log(folder) as log:
+        yield log
+
+
+def wait_until_it_listens(process: subprocess.Popen[bytes], log: IO[bytes], port: int) -> None:
+    """Return when somebody answers on a port. Raises ViewerError where the process ends before, or takes too long."""
+    began = time.monotonic()
+    while True:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
+            return
+        if process.poll() is not None:
+            raise ViewerError(_why_no_picture(process.returncode, log))
+        if time.monotonic() - began > PATIENCE:
+            raise ViewerError(f"rerun did not answer on port {port} within {PATIENCE:g} s; is this machine very busy?")
+        time.sleep(0.1)
+
+
+def free_port() -> int:
+    """A port of this machine on which nobody listens now."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return free.getsockname()[1]
 
 
 @contextmanager

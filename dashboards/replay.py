@@ -36,6 +36,14 @@ class Replay:
     cast: tuple[Performer, ...]  # by side
     robots: tuple[Robot, ...]  # that have a body
 
+    def label(self, robot: Robot) -> np.ndarray:
+        """(T, 3) Where over a robot its label stands, high enough to leave it in sight from afar."""
+        return self.xpos[:, robot.body] + [0, 0, self.label_height(robot)]
+
+    def label_height(self, robot: Robot) -> float:
+        """How far above a robot's base its label stands, m."""
+        return 1.2 * robot.size + 0.05 * self.radius
+
 
 def replay(recording: Recording, cast: Sequence[Performer] | None = None) -> Replay:
     """Put the recorded joint positions through MuJoCo's kinematics, and everybody into his own colours.

@@ -27,6 +27,8 @@ COMMANDS = {
     "meta": ("league.commands.meta", "who would be played: Nash or alpha-rank mixture of a payoff table"),
     "forgetting": ("league.commands.meta", "players against their own past snapshots"),
     "watch": ("league.commands.watch", "a recorded match in 3D"),
+    "browse": ("league.commands.browse", "the newest recorded matches as a table, each of which opens in 3D"),
+    "export-match": ("league.commands.export_match", "a recorded match as a file that Foxglove opens in 3D"),
     "dash": ("league.commands.dash", "the league as a page in a browser of this machine, which follows it"),
     "report": ("league.commands.report", "the same page as one file, to keep or to send"),
     "gate": ("league.commands.gate", "whether one snapshot is better than another, by a sequential test"),
@@ -96,7 +98,7 @@ def _dispatch(args: list[str]) -> int:
     if before == signal.default_int_handler:  # nothing has been begun that would have to be ended in order
         signal.signal(signal.SIGINT, _leave)
     try:
-        command = getattr(import_module(COMMANDS[name][0]), f"{name}_" if iskeyword(name) else name)
+        command = getattr(import_module(COMMANDS[name][0]), f"{name}_" if iskeyword(name) else name.replace("-", "_"))
         if name != "run":  # that one decides for itself when there is something to end
             signal.signal(signal.SIGINT, before)
         return command(args[1:])

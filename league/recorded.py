@@ -1,11 +1,13 @@
 """Which recorded match somebody means: by its number, the newest, between the best, the greatest upset."""
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from league.query import Open
 from matchmaking.ladder import Ladder
-from storage.errors import DamagedBlob, StorageError, UnknownName
+from storage.errors import Away, DamagedBlob, StorageError, UnknownName
 from storage.recording import Recording, RecordingError, RecordingHeader, from_bytes, headers
 from storage.records import Match
 from storage.salvage import salvage
@@ -26,16 +28,33 @@ class Wish:
 
 def chosen(opened: Open, wish: Wish) -> Match:
     """The match that was asked for. Raises StorageError, one line, where there is none of that kind."""
-    matches = opened.store.matches(opened.league)
-    recorded = [m for m in matches if m.recording is not None]
     if wish.match is not None:
-        return _numbered(opened, matches, recorded, wish.match)
-    if not recorded:
-        raise StorageError(f"League {opened.league} has no recorded match yet: `league run` plays and records some.")
-    found = _among(opened, recorded, wish)
+        return _numbered(opened, wish.match)
+    found = _among(opened, recorded(opened), wish)
     if wish.upset:
         return _upset(opened, found)
     return _best(opened, found) if wish.best else found[-1]
+
+
+def recorded(opened: Open) -> list[Match]:
+    """All recorded matches, oldest first. Raises StorageError where there is none."""
+    found = [m for m in opened.store.matches(opened.league) if m.recording is not None]
+    if not found:
+        raise StorageError(f"League {opened.league} has no recorded match yet: `league run` plays and records some.")
+    return found
+
+
+def following(opened: Open, poll: float = 1.0) -> Iterator[Match]:
+    """The newest recorded match, and then each one as it is filed, for ever. A store that is away is waited for."""
+    last: int | None = None
+    while True:
+        with suppress(Away):
+            new = [m for m in opened.store.matches(opened.league, after=last or 0) if m.recording is not None]
+            for match in new if last is not None else new[-1:]:
+                last = match.id
+                yield match
+            last = last or 0
+        time.sleep(poll)
 
 
 def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) -> tuple[Recording, str]:
@@ -57,19 +76,20 @@ def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) ->
         return salvage(error.data, episode)
 
 
-def _numbered(opened: Open, matches: Sequence[Match], recorded: Sequence[Match], number: int) -> Match:
+def _numbered(opened: Open, number: int) -> Match:
+    matches = opened.store.matches(opened.league)
     found = next((m for m in matches if m.id == number), None)
     if found is not None and found.recording is not None:
         return found
-    near = sorted(sorted(m.id for m in recorded if m.id != number), key=lambda id: abs(id - number))[:NEAR]
+    near = sorted(sorted(m.id for m in matches if m.recording is not None), key=lambda id: abs(id - number))[:NEAR]
     there = ", ".join(map(str, sorted(near)))
-    what = f"Match {number} of league {opened.league} was not recorded"
+    what = f"Match {number} was not recorded"
     if found is None:
         what = f"There is no match {number} in league {opened.league}"
     raise StorageError(f"{what}; recorded near it: {there or 'none'}. `league matches` lists all.")
 
 
-def _among(opened: Open, recorded: list[Match], wish: Wish) -> list[Match]:
+def _among(opened: Open, matches: list[Match], wish: Wish) -> list[Match]:
     """The recorded matches of those who were named."""
     snapshots = {s.name: s for s in opened.store.snapshots(opened.league)}
     for name in wish.between:
@@ -80,7 +100,7 @@ def _among(opened: Open, recorded: list[Match], wish: Wish) -> list[Match]:
         raise UnknownName("player", wish.player, players)
     of = {name: snapshot.player for name, snapshot in snapshots.items()}
     found = [
-        m for m in recorded
+        m for m in matches
         if set(wish.between) <= {m.a, m.b} and (wish.player is None or wish.player in (of.get(m.a), of.get(m.b or "")))
     ]  # fmt: skip
     if not found:
@@ -89,28 +109,28 @@ def _among(opened: Open, recorded: list[Match], wish: Wish) -> list[Match]:
     return found
 
 
-def _best(opened: Open, recorded: Sequence[Match]) -> Match:
+def _best(opened: Open, matches: Sequence[Match]) -> Match:
     """The match whose weaker side is best rated now, the newest of those, in the arena of the newest of all."""
-    key = recorded[-1].arena  # Elo of two ladders cannot be compared
+    key = matches[-1].arena  # Elo of two ladders cannot be compared
     ladder = opened.ladder(key)
     strength, learnt = _strength(ladder), {s.name for s in opened.store.snapshots(opened.league) if s.player}
 
     def interest(match: Match) -> tuple[bool, float, int]:
         return learnt.issuperset(_sides(match)), min(map(strength, _sides(match))), match.id
 
-    return max((m for m in recorded if m.arena == key), key=interest)
+    return max((m for m in matches if m.arena == key), key=interest)
 
 
-def _upset(opened: Open, recorded: Sequence[Match]) -> Match:
+def _upset(opened: Open, matches: Sequence[Match]) -> Match:
     """The match recorded in which the winner was rated the most below the loser, as far as ratings are known now."""
-    key = recorded[-1].arena
+    key = matches[-1].arena
     ladder = opened.ladder(key)
     strength = _strength(ladder)
 
     def gap(match: Match) -> float:
         return abs(strength(match.a) - strength(str(match.b)))
 
-    rivals = [m for m in recorded if m.arena == key and m.b is not None and ladder.known(m.a) and ladder.known(m.b)]
+    rivals = [m for m in matches if m.arena == key and m.b is not None and ladder.known(m.a) and ladder.known(m.b)]
     for match in sorted(rivals, key=gap, reverse=True):
         weaker_wins = match.wins if strength(match.a) < strength(str(match.b)) else match.losses
         if weaker_wins and gap(match) > 0:

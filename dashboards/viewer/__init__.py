@@ -6,21 +6,25 @@ The picture is made from the recorded joint positions on demand; a `.rrd` file i
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from dashboards.cast import Performer
 from dashboards.errors import ViewerError
-from dashboards.headless import headless_viewer
+from dashboards.headless import free_port, headless_viewer, logged, start, wait_until_it_listens
 from dashboards.replay import Replay, replay
+from dashboards.server import bound
 from dashboards.viewer.panels import blueprint, draw_panels
 from dashboards.viewer.scene import draw_scene
 from storage.recording import Recording
 
-NO_WINDOW = "--save match.rrd for a file or --shot match.png for a picture"
+NO_WINDOW = "--web for a browser on this machine, --save match.rrd for a file or --shot match.png for a picture"
 Cast = Sequence[Performer] | None
 """Who plays, by side; None: nothing but their names is known."""
 
@@ -35,14 +39,19 @@ def write_rrd(recording: Recording, path: str | Path, cast: Cast = None) -> None
     stream.disconnect()
 
 
+def require_display(otherwise: str = NO_WINDOW) -> None:
+    """Raise ViewerError where no window can open, with what to use instead."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(f"there is no display here; use {otherwise}")
+
+
 def show(recording: Recording, cast: Cast = None, port: int = 9876) -> None:
     """Open the match in rerun's window; a viewer that already listens on the port gets it as one more recording.
 
     Raises ViewerError where there is no display, no window opens or rerun is not installed.
     """
     rr = _rerun()
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError(f"there is no display here; use {NO_WINDOW}")
+    require_display()
     scene = replay(recording, cast)
     stream = _stream(rr, recording)
     rr.spawn(
@@ -53,11 +62,7 @@ def show(recording: Recording, cast: Cast = None, port: int = 9876) -> None:
         recording=stream,
     )
     _draw(rr, stream, recording, scene)
-    try:
-        stream.flush(timeout_sec=30.0)
-    except RuntimeError as error:
-        raise ViewerError(f"rerun's window did not open here; use {NO_WINDOW}") from error
-    stream.disconnect()
+    _deliver(stream, f"rerun's window did not open here; use {NO_WINDOW}")
 
 
 def shot(
@@ -81,6 +86,76 @@ def shot(
     Path(path).write_bytes(picture)
 
 
+@contextmanager
+def hub(port: int) -> Iterator["Hub"]:
+    """Rerun's viewer as a page on 127.0.0.1, and what is sent to it: whoever opens it late sees all of that.
+
+    Raises ViewerError where the port is taken or rerun is not installed.
+    """
+    _rerun()
+    bound(port).close()
+    with logged() as log:
+        feed = free_port()
+        process = start(log, "--serve-web", "--web-viewer-port", str(port), "--port", str(feed))
+        try:
+            wait_until_it_listens(process, log, port)
+            yield Hub(port, f"rerun+http://127.0.0.1:{feed}/proxy")
+        finally:
+            process.kill()
+            process.wait()
+
+
+@contextmanager
+def catalog(files: Path, port: int | None) -> Iterator[str]:
+    """Rerun's table of all matches in a folder; its address: for a browser, or without a port for rerun's window."""
+    _rerun()
+    if port is not None:
+        bound(port).close()
+    with logged() as log, logged() as page_log:
+        feed = free_port()
+        processes = [start(log, "server", "-d", f"league={files}", "--port", str(feed))]
+        try:
+            wait_until_it_listens(processes[0], log, feed)
+            url = f"rerun+http://127.0.0.1:{feed}"
+            if port is not None:
+                processes.append(start(page_log, "--serve-web", "--web-viewer-port", str(port), url))
+                wait_until_it_listens(processes[1], page_log, port)
+            yield url if port is None else f"http://127.0.0.1:{port}/?url={quote(url, safe='')}&theme=dark"
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
+
+
+@dataclass(frozen=True)
+class Hub:
+    """Where matches are sent to, and where they are seen."""
+
+    port: int
+    feed: str
+
+    @property
+    def address(self) -> str:
+        """For a browser of this machine."""
+        return f"http://127.0.0.1:{self.port}/?url={quote(self.feed, safe='')}&theme=dark&hide_welcome_screen"
+
+    def send(self, recording: Recording, cast: Cast = None) -> None:
+        """Show a match as one more recording, the active one. Raises ViewerError where the hub is gone."""
+        rr = _rerun()
+        scene, stream = replay(recording, cast), _stream(rr, recording)
+        stream.connect_grpc(self.feed, default_blueprint=blueprint(rr, recording, scene))
+        _draw(rr, stream, recording, scene)
+        _deliver(stream, "the web viewer has ended; start it again")
+
+
+def _deliver(stream: Any, otherwise: str) -> None:
+    try:
+        stream.flush(timeout_sec=30.0)
+    except RuntimeError as error:
+        raise ViewerError(otherwise) from error
+    stream.disconnect()
+
+
 def _rerun() -> Any:
     try:
         import rerun
@@ -98,5 +173,10 @@ def _stream(rr: Any, recording: Recording) -> Any:
 def _draw(rr: Any, stream: Any, recording: Recording, scene: Replay) -> None:
     header = recording.header
     stream.send_recording_name(f"{' – '.join(header.sides)}: {header.outcome}")
+    about = {f"side_{i}": side for i, side in enumerate(header.sides)} | {
+        f"rating_{i}": who.rating for i, who in enumerate(scene.cast)
+    }
+    about |= {"outcome": header.outcome, "arena": header.arena.arena, "seconds": float(recording.time[-1])}
+    stream.send_property("match", rr.AnyValues(**about))  # columns of the table of many matches
     draw_scene(rr, stream, recording, scene)
     draw_panels(rr, stream, recording, scene)

@@ -37,7 +37,7 @@ def _draw_people(rr: Any, stream: Any, recording: Recording, scene: Replay) -> N
     for robot in scene.robots:
         who, (_, corners) = scene.cast[robot.side], shape(robot.side)
         at = scene.xpos[:, robot.body]
-        over, below, ground = at + np.array([0, 0, 1.2 * robot.size]), at * [1, 1, 0], np.array([0, 0, thin])
+        over, below, ground = scene.label(robot), at * [1, 1, 0], np.array([0, 0, thin])
         label = rr.Points3D.from_fields(colors=[who.colour], labels=[who.label], radii=[0.0], show_labels=True)
         side = rr.LineStrips3D(circles(np.array([[0, 0, robot.size]]), thin, corners), colors=[WHITE], radii=[thin])
         trail = rr.Points3D.from_fields(colors=[who.colour], radii=[thin])

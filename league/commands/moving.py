@@ -1,19 +1,16 @@
 """`league pack` and `league unpack`: leagues as one file, and from there into any store."""
 
 import shlex
-import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from league import moving
 from league.commands.options import STORE, Where, parse, positional
+from league.commands.telling import Progress
 from league.config.sections import check_name
 from storage.places import shown_place
 from storage.store import Store
-
-EVERY = 5.0  # seconds between two lines of progress where the output is no terminal
 
 
 @dataclass(frozen=True)
@@ -84,30 +81,6 @@ def unpack(args: list[str]) -> int:
         print("Recordings, and the settings kept with runs and snapshots, still tell the old name: they never change.")
     print(f"`league run {_flags(where)}` goes on; `league ratings {_flags(where)}` tells who is better.")
     return 0
-
-
-class Progress:
-    """Tells how far a work has come: on a terminal in one line that changes, elsewhere in a line every few seconds."""
-
-    def __init__(self, doing: str):
-        self.doing = doing
-        self._live = sys.stderr.isatty()
-        self._told = time.monotonic()
-        self._shown = False
-
-    def tell(self, what: str, done: int, total: int | None) -> None:
-        """Say it, if it is time."""
-        now = time.monotonic()
-        if now - self._told < (0.2 if self._live else EVERY):
-            return
-        self._told, self._shown = now, True
-        line = f"{self.doing}: {what} {done:,}" + (f" of {total:,}" if total is not None else "")
-        print(f"\r\033[K{line}" if self._live else line, end="" if self._live else "\n", file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        """Leave a terminal's line as it was found."""
-        if self._live and self._shown:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def _told(done: moving.Moved) -> str:

@@ -265,7 +265,7 @@ def test_errors_say_what_to_type(match, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(ViewerError, match=r"no display here; use --save .* or --shot"):
+    with pytest.raises(ViewerError, match=r"no display here; use --web .* --save .* or --shot"):
         viewer.show(match)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ViewerError, match=r"pip install 'robot-league\[view\]'"):

@@ -42,6 +42,14 @@ def seats(referee: Referee, *pairs):
     return [seating for a, b in pairs for seating in referee.seatings(a, b)]
 
 
+def test_the_first_episodes_of_each_side_order_are_recorded_by_turns(referee):
+    assert referee.each == 4  # two pairings of two groups
+    assert referee._first(1) == (0, 8)
+    assert referee._first(2) == (0, 4, 8, 12)
+    assert referee._first(3) == (0, 4, 1, 8, 12, 9)
+    assert sorted(referee._first(100)) == list(range(16))
+
+
 def test_sides_are_swapped_and_a_seed_pair_starts_and_rolls_alike(referee):
     seating = seats(referee, (A, B), (C, A))
     assert seating == [(A, B), (B, A), (C, A), (A, C)]

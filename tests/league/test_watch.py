@@ -4,10 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from league.cast import cast
 from league.query import Open
-from league.recorded import Wish, chosen
+from league.recorded import Wish, chosen, following
 from storage.recording import Recording, to_bytes
 from storage.store import Store
 from tests.dashboards.cars import cars
@@ -75,18 +76,65 @@ def test_players_have_their_colours_roles_and_the_ratings_before_the_match(store
     ("args", "says"),
     [
         (("99",), "There is no match 99 in league cup; recorded near it: 1, 2, 3, 5."),
-        (("4",), "Match 4 of league cup was not recorded; recorded near it: 1, 2, 3, 5."),
+        (("4",), "Match 4 was not recorded; recorded near it: 1, 2, 3, 5."),
         (("--between", "blue@4", "blue@0"), "No match of blue@4 and blue@0 was recorded"),
         (("--between", "blue@4"), "--between takes two snapshots"),
         (("--between", "blue@4", "bleu@0"), "Did you mean 'blue@0'"),
         (("--player", "bleu"), "Did you mean 'blue'"),
         (("3", "--best"), "MATCH and --best ask for different matches"),
+        (("--live", "--best"), "--live shows every match as it comes"),
         (("1", "--episode", "2"), "Match 1 has 2 recorded, from 0 on; there is no episode 2."),
     ],
 )
 def test_what_there_is_not_is_told_in_one_line(store, args, says, capsys, tmp_path):
     assert says in refused(capsys, "watch", *args, "--store", str(store), "--save", str(tmp_path / "no.rrd"))
     assert not list(tmp_path.iterdir())
+
+
+def test_following_gives_the_newest_and_then_each_that_is_filed(tmp_path):
+    with filled(tmp_path / "league-data") as store:
+        kept = store.blobs.put(to_bytes(cars()))
+        finish(store, matches=[match("blue@1", "red@1", 1, 0, recording=kept) for _ in range(2)])
+        matches = following(Open(store), poll=0)
+        assert next(matches).id == 2
+        finish(store, matches=[match("blue@4", "red@4", 1, 0), match("blue@4", "red@4", 1, 0, recording=kept)])
+        finish(store, matches=[match("blue@4", "red@0", 1, 0, recording=kept)])
+        assert [next(matches).id, next(matches).id] == [4, 5]
+
+
+def test_pictures_and_films_need_no_graphics_driver(store, tmp_path, capsys, monkeypatch):
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    shot, video = tmp_path / "match.png", tmp_path / "match.gif"
+    made = ("--shot", str(shot), "--video", str(video), "--at", "1.5", "--seconds", "0.2", "--rate", "5")
+    code, out, err = ran(capsys, "watch", "1", "--store", str(store), *made)
+    assert code == 0
+    assert "apt-get install mesa-vulkan-drivers; without one it is drawn without curves" in err
+    assert f"Wrote {shot}" in out
+    with Image.open(shot) as picture, Image.open(video) as film:
+        assert (picture.size, film.size) == ((1600, 1000), (960, 600))
+
+
+def test_a_match_for_foxglove_is_named_by_its_number_and_never_overwrites(store, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    asked = ("export-match", "1", "--foxglove", "--store", str(store))
+    assert "Wrote match-1.mcap" in ran(capsys, *asked)[1]
+    assert "match-1.mcap exists already" in refused(capsys, *asked)
+    assert "give --foxglove" in refused(capsys, *asked[:2], "--store", str(store))
+
+
+def test_without_a_display_the_commands_that_work_are_named(store, capsys, monkeypatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for command in (("watch", "--live"), ("browse",)):
+        told = refused(capsys, *command, "--store", str(store))
+        assert "no display here; use --" in told
+        assert "--web" in told
+    code, out, err = ran(capsys, "watch", "--store", str(store))
+    assert code == 2
+    assert "Match 5" in out
+    assert "--web for a browser on this machine, --save match.rrd for a file or --shot match.png" in err
 
 
 def test_an_episode_with_sides_swapped_and_what_is_whole_of_a_damaged_one(store, capsys, tmp_path):

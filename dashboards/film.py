@@ -1,0 +1,242 @@
+"""A match as pictures and films, drawn with `dashboards.rays`: where there is no graphics driver, and for clips."""
+
+import functools
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashboards.cast import Performer, shape
+from dashboards.errors import ViewerError
+from dashboards.rays import Camera, Painter
+from dashboards.replay import Replay, replay
+from dashboards.viewer.panels import TRAIL, grid_spacing
+from dashboards.viewer.scene import MARKER_COLOURS, WHITE, circles
+from storage.recording import Recording
+
+LINGER = 1.0  # s for which the last picture of a film stays
+FINER = 2  # pixels are drawn twice as fine each way and then merged, which smooths edges
+KINDS = (".mp4", ".gif", ".webp")
+NO_FFMPEG = "an .mp4 needs ffmpeg: pip install 'robot-league[video]' brings it; .gif and .webp need nothing more"
+INK, FAINT, BAND = (235, 238, 245), (165, 172, 184), (17, 21, 30)
+
+
+class Film:
+    """Draws the moments of one match."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        size: tuple[int, int],
+        cast: Sequence[Performer] | None = None,
+        close: bool = False,
+        labels: bool = True,
+    ):
+        """Pictures of `size` pixels of the whole scene, or `close`: of no more of it than robots ever come to.
+
+        `labels` stand over the robots, and hide some of what is behind them; who has which colour is told at the top.
+        """
+        self.recording, self.size, self.labels = recording, size, labels
+        self.scene: Replay = replay(recording, cast)
+        centre, radius = _stage(self.scene) if close else (np.zeros(3), self.scene.radius)
+        camera = Camera.on(centre, radius, (FINER * size[0], FINER * size[1]))
+        self.camera, self._painter = camera, Painter(self.scene, camera, grid_spacing(self.scene.radius))
+
+    def picture(self, step: int) -> Any:
+        """A PIL image of a step: the world, who is who, and below it time, score and what has happened."""
+        image, pens = _pillow().Image, _pillow().ImageDraw
+        self._painter.pose(self.recording.qpos[step])
+        world = image.fromarray(self._painter.ground().astype(np.uint8))
+        self._lines(pens.Draw(world), step)
+        bodies, there = self._painter.bodies()
+        world.paste(image.fromarray(bodies.astype(np.uint8)), (0, 0), image.fromarray(there))
+        world = world.resize(self.size, image.Resampling.BOX)
+        pen = pens.Draw(world)
+        if self.labels:
+            self._labels(pen, step)
+        self._caption(pen, step)
+        return world
+
+    def _lines(self, pen: Any, step: int) -> None:
+        """Markers, the shapes of the sides and where everybody was of late, as lines on the ground."""
+        recording, scene, thin = self.recording, self.scene, 0.004 * self.scene.radius
+        for name, kind in recording.header.marker_kinds.items():
+            values = recording.markers[name][step : step + 1]
+            if kind == "circle":
+                self._line(pen, circles(values, thin)[0], MARKER_COLOURS[kind], 3)
+            elif kind == "segment":
+                self._line(pen, values.reshape(2, 3), MARKER_COLOURS[kind], 2)
+            else:
+                self._ball(pen, values[0], MARKER_COLOURS[kind], filled=kind == "ball")
+        first = int(np.searchsorted(recording.time, recording.time[step] - TRAIL))
+        for robot in scene.robots:
+            at = scene.xpos[: step + 1, robot.body] * np.array([1, 1, 0])
+            self._line(pen, at[first:], scene.cast[robot.side].colour, 2)
+            ring = circles(np.array([[0, 0, robot.size]]), thin, shape(robot.side)[1])[0]
+            self._line(pen, ring + at[-1], WHITE, 2)
+
+    def _line(self, pen: Any, points: np.ndarray, colour: tuple[int, ...], width: int) -> None:
+        seen = self.camera.project(points)
+        if len(seen) > 1 and (seen[:, 2] > 0).all() and np.isfinite(seen).all():
+            pen.line([tuple(point) for point in seen[:, :2].tolist()], fill=colour, width=FINER * width, joint="curve")
+
+    def _ball(self, pen: Any, values: np.ndarray, colour: tuple[int, ...], filled: bool) -> None:
+        x, y, ahead = self.camera.project(values[None, :3])[0]
+        if ahead > 0 and np.isfinite(x + y):
+            r = values[3] * self.camera.focus / ahead
+            pen.ellipse((x - r, y - r, x + r, y + r), outline=colour, width=FINER, fill=colour if filled else None)
+
+    def _labels(self, pen: Any, step: int) -> None:
+        font = _font(self.size[1] / 40)
+        for robot in self.scene.robots:
+            who = self.scene.cast[robot.side]
+            over = self.scene.label(robot)[step]
+            x, y, ahead = self.camera.project(over[None])[0] / [FINER, FINER, 1]
+            if ahead > 0 and np.isfinite(x + y):
+                box = pen.textbbox((x, y), who.label, font=font, anchor="mb")
+                pen.rounded_rectangle((box[0] - 4, box[1] - 2, box[2] + 4, box[3] + 3), 3, fill=BAND)
+                pen.text((x, y), who.label, font=font, anchor="mb", fill=who.colour)
+
+    def _caption(self, pen: Any, step: int) -> None:
+        """Who meets whom at the top; the time and what has happened lately at the bottom."""
+        recording, h = self.recording, self.size[1]
+        large, small = _font(h / 22), _font(h / 28)
+        x, gap = h / 40, h / 40
+        for number, who in enumerate(self.scene.cast):
+            if number:
+                pen.text((x, gap), "against", font=large, fill=FAINT)
+                x += pen.textlength("against ", font=large)
+            text = f"{who.name} {who.rating}".strip()
+            pen.text((x, gap), text, font=large, fill=who.colour)
+            x += pen.textlength(f"{text} ", font=large)
+        happened = [text for at, text in recording.events if at <= step]
+        told = f"{recording.time[step]:5.1f} s   {' · '.join(happened[-3:])}"
+        pen.text((h / 40, h - gap), told, font=small, anchor="ls", fill=INK)
+
+
+def _pillow() -> Any:
+    """Pillow's package, with what is used of it. Raises ViewerError where it is not installed."""
+    try:
+        import PIL.Image
+        import PIL.ImageDraw
+        import PIL.ImageFont
+    except ImportError as error:
+        raise ViewerError("pictures need Pillow; install it with: pip install 'robot-league[video]'") from error
+    return PIL
+
+
+def _font(pixels: float) -> Any:
+    return _pillow().ImageFont.load_default(max(10.0, pixels))
+
+
+def _stage(scene: Replay) -> tuple[np.ndarray, float]:
+    """The middle of where robots ever are, and how far from it there is something of them, at most the scene."""
+    at = np.concatenate([scene.xpos[:, robot.body, :2] for robot in scene.robots])
+    at = at[np.isfinite(at).all(axis=1)]
+    centre = (at.min(axis=0) + at.max(axis=0)) / 2
+    reach = np.linalg.norm(at - centre, axis=1).max() + max(robot.size for robot in scene.robots)
+    return np.append(centre, 0.0), min(scene.radius, float(reach))
+
+
+def save_picture(film: Film, path: Path, at_seconds: float) -> None:
+    """Write a picture of a moment, in the kind that the file's name says."""
+    film.picture(nearest(film.recording, at_seconds)).save(path)
+
+
+def save_film(
+    film: Film, path: Path, rate: int, between: tuple[float, float], tell: Callable[[int, int], None]
+) -> None:
+    """Write the seconds `between` of a match as a film of `rate` pictures a second, at the speed of the match.
+
+    An .mp4 through ffmpeg, a .gif or .webp through Pillow. `tell` is called with how many pictures of how many are
+    there. Raises ViewerError for a name that ends otherwise, or where there is no ffmpeg; nothing is written then.
+    """
+    check(path)
+    recording = film.recording
+    first, last = np.clip(between, recording.time[0], recording.time[-1]).tolist()
+    moments = np.arange(first, last, 1 / rate)
+    steps = [nearest(recording, moment) for moment in moments] or [nearest(recording, between[0])]
+    steps += [nearest(recording, last)] * round(LINGER * rate)
+    pictures = _told(film, steps, tell)
+    partial = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        if path.suffix == ".mp4":
+            _encode(pictures, film.size, rate, partial)
+        else:
+            _animate(pictures, rate, partial)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def check(path: Path) -> None:
+    """Raise ViewerError where a film of that name cannot be made here."""
+    if path.suffix not in KINDS:
+        raise ViewerError(f"a film is a file named {', '.join('*' + kind for kind in KINDS)}, not {path.name}")
+    if path.suffix == ".mp4":
+        ffmpeg()
+
+
+def nearest(recording: Recording, seconds: float) -> int:
+    """The step nearest to a moment. Raises ViewerError where the match does not have it."""
+    first, last, dt = recording.time[0], recording.time[-1], recording.header.dt
+    if not first - dt <= seconds <= last + dt:  # the ends as a person writes them: 0, or 2 for 1.9999
+        raise ViewerError(f"there is no second {seconds:g} in this match; it has {first:g} to {last:g}")
+    return int(np.abs(recording.time - seconds).argmin())
+
+
+def _told(film: Film, steps: Sequence[int], tell: Callable[[int, int], None]) -> Iterator[Any]:
+    drawn = functools.lru_cache(1)(film.picture)
+    for number, step in enumerate(steps):
+        tell(number, len(steps))
+        yield drawn(step)
+    tell(len(steps), len(steps))
+
+
+def _animate(pictures: Iterator[Any], rate: int, path: Path) -> None:
+    """A film through Pillow. A .gif has one palette of 256 colours, that of its first picture, lest colours flicker."""
+    if path.suffix == ".webp":
+        first, *others = pictures
+        first.save(path, save_all=True, append_images=others, duration=round(1000 / rate), loop=0, quality=70, method=4)
+        return
+    first = next(pictures).quantize(256)
+    others = [picture.quantize(palette=first, dither=0) for picture in pictures]
+    first.save(path, save_all=True, append_images=others, duration=round(1000 / rate), loop=0, optimize=True)
+
+
+def _encode(pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Path) -> None:
+    """A film through ffmpeg, which reads the pictures as they are drawn."""
+    command = [
+        ffmpeg(), "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}",
+        "-r", str(rate), "-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "23", "-movflags", "+faststart",
+        str(path),
+    ]  # fmt: skip
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=said, stderr=said)
+        assert process.stdin is not None
+        try:
+            with suppress(BrokenPipeError), process.stdin:
+                for picture in pictures:
+                    process.stdin.write(picture.tobytes())
+        finally:
+            status = process.wait()
+        said.seek(0)
+        if status:
+            raise ViewerError(f"ffmpeg made no film: {said.read().decode(errors='replace').strip()[-300:]}")
+
+
+def ffmpeg() -> str:
+    """The program, of this machine or of the wheel that brings it. Raises ViewerError where there is neither."""
+    if found := shutil.which("ffmpeg"):
+        return found
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        return get_ffmpeg_exe()
+    except (ImportError, RuntimeError) as error:
+        raise ViewerError(NO_FFMPEG) from error
