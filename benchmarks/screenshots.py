@@ -62,17 +62,24 @@ def page(store: str, out: Path, browser: "Browser") -> None:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.html"
         league("report", "--store", store, "-o", str(report))
-        tab = browser.new_page(viewport={"width": 1200, "height": 1420})
+        tab = browser.new_page(viewport={"width": 1200, "height": 900})
         tab.goto(report.as_uri())
         best = tab.locator("#ladder tbody th").first.text_content() or ""
         for chooser, name in zip(
             tab.locator(".pairs select").all(), (best, f"{best.partition('@')[0]}@0"), strict=True
         ):
             chooser.select_option(name)
-        tab.locator("#ratings").evaluate("section => section.scrollIntoView()")
         for figure in tab.locator("#ratings figure, #payoff figure").all():
+            figure.scroll_into_view_if_needed()
             figure.locator(".main-svg").first.wait_for()
-        tab.screenshot(path=out / "page.png")
+        tab.evaluate("scrollTo(0, 0)")
+        top, last = (tab.locator(part).bounding_box() for part in ("#ratings", ".pairs"))
+        assert top is not None
+        assert last is not None
+        height = last["y"] + last["height"] + 16 - top["y"]
+        tab.screenshot(
+            path=out / "page.png", full_page=True, clip={"x": 0, "y": top["y"], "width": 1200, "height": height}
+        )
 
 
 PICTURES: dict[str, Callable[[str, Path, "Browser"], None]] = {"match": match, "page": page, "terminal": terminal}
