@@ -22,6 +22,7 @@ COMMANDS = {
     "matches": ("league.commands.tables", "the match log"),
     "snapshots": ("league.commands.tables", "the frozen policies"),
     "curves": ("league.commands.tables", "how learning went, iteration by iteration"),
+    "log": ("league.commands.log", "learning curves as a folder for TensorBoard, once or following the league"),
     "explain": ("league.commands.explain", "whom a player meets in training now, how often, and why"),
     "payoff": ("league.commands.meta", "scores of the snapshots against each other"),
     "meta": ("league.commands.meta", "who would be played: Nash or alpha-rank mixture of a payoff table"),

@@ -4,6 +4,7 @@ What it says is read as the commands that print it read it: `ratings`, `payoff`,
 `matches`, `snapshots`. Reads the store and nothing else.
 """
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from league.commands.ladder import LADDER, TRIED, for_people, notes_on, title_of
 from league.commands.status import PLAYERS, WORKERS, Facts, facts
 from league.commands.tables import CURVES, MATCHES, NEWEST, PURPOSE, RECORDED
 from league.config.schema import ConfigError
-from league.liveness import leader
+from league.liveness import leader, processes
 from league.metagame import table as payoff_table
 from league.query import Open, Shown, curve_rows, match_rows, snapshot_rows
 from league.rated import Row, rating_rows, side_text, unlike_sides, when
@@ -40,8 +41,10 @@ SHORT = 12  # hexadecimal digits of a digest that tell snapshots apart
 
 
 def version(opened: Open) -> str:
-    """Changes whenever the page would: with what the store holds and with who runs the league."""
-    return f"{opened.league}:{opened.store.revision(opened.league)}:{leader(opened.store, opened.league) or ''}"
+    """Changes whenever the page would: with what the store holds, who runs the league and what its workers do."""
+    doing = sorted(f"{w.id} {w.status.get('doing', '')}" for w in processes(opened.store, opened.league))
+    told = hashlib.sha256("\n".join([leader(opened.store, opened.league) or "", *doing]).encode()).hexdigest()
+    return f"{opened.league}:{opened.store.revision(opened.league)}:{told[:SHORT]}"
 
 
 def page(opened: Open) -> Page:
@@ -218,7 +221,7 @@ def _throughput(points: Sequence[Row], status: Facts) -> Iterator[str | Picture 
         told = ", ".join(f"{player} {rate:,.0f}" for player, rate in sorted(newest.items()))
         picture = figures.curves(timed, "steps_per_second", "steps per second", "seconds", "seconds of training")
         yield Picture(picture, f"Environment steps per second, learning included. Newest: {told}." + _means(timed))
-    yield _table(status.workers, WORKERS, "Workers")
+    yield _table(status.workers, WORKERS[:-1], "Workers")  # when they were seen is old in a moment
 
 
 def _jobs(standing: Standing, status: Facts) -> Iterator[str | Rows]:

@@ -1,5 +1,7 @@
 """`league report`: what the other commands print, as one file."""
 
+import os
+import socket
 import subprocess
 import sys
 
@@ -213,4 +215,10 @@ def test_opening_it_for_a_page_changes_nothing(folder):
         overview.page(Open(store))
         assert overview.version(Open(store)) == before
         finish(store, matches=[match("blue@1", "red@1", 5, 3, arena=C)])
-        assert overview.version(Open(store)) != before
+        played = overview.version(Open(store))
+        assert played != before
+        for doing in ("compiling", "training"):
+            store.beat("here:1:train0", "cup", "train", os.getpid(), socket.gethostname(), {"doing": doing})
+            told = overview.version(Open(store))
+            assert told != played
+            played = told
