@@ -39,15 +39,18 @@ class Log(Verbs):
         groups = (*(c[name] for name in ArenaKey._fields), c.a, c.b)
         sums = [sa.cast(sa.func.sum(c[name]), sa.BigInteger) for name in COUNTS]  # PostgreSQL sums to decimals
         newest = (sa.func.max(c.created), sa.func.max(c.id))
-        found: dict[ArenaKey, list[Any]] = {}
-        for row in self._db.rows(sa.select(*groups, *sums, *newest).where(*chosen).group_by(*groups)):
-            found.setdefault(ArenaKey(*row[:3]), []).append(row)
-        read = [
-            Totals(key, [r[3] for r in log], [r[4] for r in log], [r[5:-2] for r in log], [r[-2] for r in log],
-                   max(r[-1] for r in log))
-            for key, log in found.items()
-        ]  # fmt: skip
-        return {each.arena: each for each in sorted(read, key=lambda each: -each.newest)}
+        query = sa.select(*groups, *sums, *newest).where(*chosen).group_by(*groups)
+        found: dict[ArenaKey, tuple[list[Any], ...]] = {}  # columns
+        with self._db.reading() as db:  # row by row: where many have met few times, there are as many rows as matches
+            read = db.execute(query, execution_options={"yield_per": 1000})
+            for arena, config, engine, a, b, *counts, created, last in map(
+                tuple, self._db.sound(iter(read), "matches")
+            ):
+                columns = found.setdefault(ArenaKey(arena, config, engine), ([], [], [], [], []))
+                for column, value in zip(columns, (a, b, tuple(counts), created, last), strict=True):
+                    column.append(value)
+        logs = [Totals(key, a, b, counts, created, max(last)) for key, (a, b, counts, created, last) in found.items()]
+        return {each.arena: each for each in sorted(logs, key=lambda each: -each.newest)}
 
     def booked(self, league: str) -> tuple[float, float]:
         """Device seconds of the matches that were queued while players learnt, and their first `due`; zeros without."""

@@ -124,3 +124,21 @@ def test_of_many_managers_started_at_once_one_leads(place: tuple[str, str], tmp_
             assert len(led) == 1
             assert (store.leader("cup") or ("",))[0] == led[0]
             assert store.unlead("cup", led[0])
+
+
+def test_the_disk_is_waited_for_by_results_and_not_by_claims(place: tuple[str, str]):
+    with Store.open(place[0], create=True, blobs=place[1]) as store:
+        fill(store)
+        on_server = store._db.engine.dialect.name == "postgresql"
+        asked = "SHOW synchronous_commit" if on_server else "PRAGMA synchronous"
+        found = []
+        for verb in (lambda: claims(store, "a"), lambda: store.queue([Job("cup", "match", "b")])):
+
+            def look(db: sa.Connection) -> None:
+                found[-1] = db.exec_driver_sql(asked).scalar()
+
+            found.append(None)
+            sa.event.listen(store._db.engine, "commit", look)
+            verb()
+            sa.event.remove(store._db.engine, "commit", look)
+        assert found == (["off", "on"] if on_server else [1, 2])
