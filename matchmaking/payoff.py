@@ -11,9 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from storage.errors import StorageError
 from storage.records import COUNTS, ArenaKey, Match, Totals
 
 PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
+
+
+class Contradiction(StorageError, ValueError):  # noqa: N818
+    """A row of a match log cannot be, whatever was played; the store that has it is damaged."""
 
 
 class Score(NamedTuple):
@@ -192,7 +197,7 @@ def _check(a: Sequence[str], b: Sequence[str | None], counts: np.ndarray) -> Non
     wrong |= pairs.sum(1) > np.minimum(home.sum(1), away.sum(1))
     for i in np.flatnonzero(wrong)[:1]:
         against = f" against {b[i]}" if b[i] else ""
-        raise ValueError(
+        raise Contradiction(
             f"a match of {a[i]}{against} contradicts itself: side counts must not exceed the totals, each seed pair"
             " needs a valid game on either side, and a void has one culprit at most"
         )
