@@ -179,9 +179,13 @@ def _columns(
             ArenaKey("", "", ""), [m.a for m in matches], [m.b for m in matches], [_counts(m) for m in matches],
             [m.created for m in matches], 0,
         )  # fmt: skip
-    counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNTS))
+    try:
+        counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNTS))
+        created = np.array(matches.created, float)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise Contradiction(f"the log of matches is damaged: {str(error)[:80]}") from None
     _check(matches.a, matches.b, counts)
-    return matches.a, matches.b, counts, np.array(matches.created, float)
+    return matches.a, matches.b, counts, created
 
 
 def _counts(m: Match) -> tuple[int, ...]:
