@@ -12,6 +12,7 @@ from pathlib import Path
 from benchmarks.hunted import LEAGUE, LEASE, Hunted, Lost, findings, is_alive
 from benchmarks.servers import Line, Server
 from league.daemon import LEASE as LEADS
+from storage.store import Store
 
 
 @dataclass
@@ -106,7 +107,12 @@ def skewed_worker(scene: Scene) -> Counter[str]:
     told = {"LD_PRELOAD": str(faketime()), "FAKETIME": skew, "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
     joined = scene.hunted.start("worker", **told)
     scene.hunted.seen.add(joined.pid)
-    return Counter({f"worker joined with its clock {skew}": 1})
+
+    def came(store: Store) -> bool:
+        return any(worker.pid == joined.pid for worker in store.workers(LEAGUE, 7200))
+
+    worked = scene.hunted.wait(lambda: joined.poll() is not None or scene.hunted.look(came), 180)
+    return Counter({f"worker joined with its clock {skew}": 1} if worked and joined.poll() is None else {})
 
 
 def faketime() -> Path | None:

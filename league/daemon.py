@@ -22,7 +22,7 @@ from league.config import experiment as configuration
 from league.config.durations import seconds
 from league.config.experiment import Config
 from league.jobs import RatingMatch, TrainingTurn
-from league.liveness import is_dead
+from league.liveness import is_dead, place
 from league.standing import Standing
 from league.worker import BEAT, Post, work
 from storage.errors import Away
@@ -225,7 +225,7 @@ class Manager:
             self.store.unlead(league, leader[0])
             if self.store.lead(league, self.id, LEASE):
                 return
-        host, pid, *_ = (leader[0] if leader else "another:process:").rsplit(":", 2)
+        host, pid = place(leader[0] if leader else "another:process:")
         raise DaemonError(
             f"league {league!r} is running already (process {pid} on {host}): see `league status`, or `league stop`"
             " first"

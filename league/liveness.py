@@ -1,6 +1,7 @@
 """Which of a league's processes are alive, as far as a store and this host can tell."""
 
 import os
+import re
 import socket
 
 from storage.records import Worker
@@ -21,16 +22,22 @@ def exists(pid: int) -> bool:
     return True
 
 
+def place(holder: str) -> tuple[str, str]:
+    """The host and the id of a process named `host:pid:...`; of a name that is damaged there is no id."""
+    host, *pid = holder.rsplit(":", 2)
+    return host, pid[0] if pid else ""
+
+
 def is_dead(holder: str) -> bool:
     """Whether a process named `host:pid:...` is certainly gone: it was one of this host."""
-    host, pid, *_ = holder.rsplit(":", 2)
-    return host == socket.gethostname() and pid.isdigit() and not exists(int(pid))
+    host, pid = place(holder)
+    return host == socket.gethostname() and re.fullmatch(r"\d{1,9}", pid) is not None and not exists(int(pid))
 
 
 def leader(store: Store, league: str) -> str | None:
     """The league's manager, `host:pid:manager`, unless nobody leads it or that process of this host has died."""
     found = store.leader(league)
-    return None if found is None or is_dead(found[0]) else found[0]
+    return None if found is None or not isinstance(found[0], str) or is_dead(found[0]) else found[0]
 
 
 def processes(store: Store, league: str) -> list[Worker]:

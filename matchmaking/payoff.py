@@ -11,9 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from storage.errors import StorageError
 from storage.records import COUNTS, ArenaKey, Match, Totals
 
 PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
+
+
+class Contradiction(StorageError, ValueError):  # noqa: N818
+    """A row of a match log cannot be, whatever was played; the store that has it is damaged."""
 
 
 class Score(NamedTuple):
@@ -174,9 +179,13 @@ def _columns(
             ArenaKey("", "", ""), [m.a for m in matches], [m.b for m in matches], [_counts(m) for m in matches],
             [m.created for m in matches], 0,
         )  # fmt: skip
-    counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNTS))
+    try:
+        counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNTS))
+        created = np.array(matches.created, float)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise Contradiction(f"the log of matches is damaged: {str(error)[:80]}") from None
     _check(matches.a, matches.b, counts)
-    return matches.a, matches.b, counts, np.array(matches.created, float)
+    return matches.a, matches.b, counts, created
 
 
 def _counts(m: Match) -> tuple[int, ...]:
@@ -192,7 +201,7 @@ def _check(a: Sequence[str], b: Sequence[str | None], counts: np.ndarray) -> Non
     wrong |= pairs.sum(1) > np.minimum(home.sum(1), away.sum(1))
     for i in np.flatnonzero(wrong)[:1]:
         against = f" against {b[i]}" if b[i] else ""
-        raise ValueError(
+        raise Contradiction(
             f"a match of {a[i]}{against} contradicts itself: side counts must not exceed the totals, each seed pair"
             " needs a valid game on either side, and a void has one culprit at most"
         )

@@ -23,7 +23,7 @@ def looks_like_url(text: str) -> bool:
     """Whether a place is written as a URL, well or badly; then it is never taken for the name of a folder."""
     if "://" in text or re.match(r"\s*([A-Za-z][A-Za-z0-9+.-]+:|(sqlite|postgres\w*)(\+\w+)?//)", text):
         return True
-    return not text.startswith((".", "/", "~")) and _CREDENTIALS.search(text) is not None
+    return re.match(r"[.~]|/(?!/)", text) is None and _CREDENTIALS.search(text) is not None
 
 
 def database_url(where: str | os.PathLike[str]) -> sa.URL:

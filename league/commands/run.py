@@ -18,7 +18,7 @@ from league.config.experiment import Budget, Config
 from league.config.schema import ConfigError
 from league.daemon import DaemonError
 from league.jobs import TrainingTurn
-from league.liveness import leader
+from league.liveness import leader, place
 from league.matches import cut_short
 from league.plan import spent, trained_enough
 from league.prepare import prepare
@@ -89,7 +89,7 @@ def _refuse_second(where: str, config: Config) -> None:
     except NotAStore:
         return
     if found is not None:
-        host, pid, _ = found.rsplit(":", 2)
+        host, pid = place(found)
         raise DaemonError(
             f"league {config.league!r} is running already (process {pid} on {host}): see `league status`, or"
             " `league stop` first"

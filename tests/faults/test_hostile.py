@@ -83,6 +83,15 @@ FOUND = {
     "curves of a league that has not learnt": (("curves", "--store", "store"), "DELETE FROM curves", 0),
     "matches of a league without players": (("payoff", "--store", "store"), "DELETE FROM players", 2),
     "a name that is no text": (("forgetting", "--store", "store"), "UPDATE OR IGNORE snapshots SET name = x'91ff'", 2),
+    "nobody who leads for ever": (("status", "--store", "store"), "UPDATE leagues SET lead_until = ''", 0),
+    "a leader without a process": (
+        ("status", "--store", "store"),
+        "UPDATE leagues SET leader = 'x', lead_until = 1e18",
+        0,
+    ),
+    "fewer voids than none": (("forgetting", "--store", "store"), "UPDATE matches SET voids = -7", 2),
+    "a time that is none": (("payoff", "--store", "store"), "UPDATE matches SET created = 'soon'", 2),
+    "a password behind no name": (("status", "--store", "//:hunter2@-1"), "", 2),
     "a number of more digits than Python reads": (("run", "big.toml", "--help"), "", 2),
     "an archive that begins too late": (("unpack", "late.zip", "--store", "new"), "", 2),
 }
