@@ -50,7 +50,7 @@ def main() -> None:
             "snapshots": {player.name: len(standing.history(player.name)) for player in standing.players},
             "table": [
                 {"newest": a.name, "earlier": b.name, "seconds": round(b.seconds, 1), "steps": b.step}
-                | score(ladder, a, b) for a, b in pairs
+                | score(ladder, a, b) for a, b in pairs if b
             ],
         }, args.out)  # fmt: skip
 

@@ -29,6 +29,7 @@ from jax import Array  # noqa: E402
 
 from agents.rollout import make_reset, make_rollout  # noqa: E402
 from arenas.arena import Arena  # noqa: E402
+from arenas.sumo import stages  # noqa: E402
 from benchmarks.record import commit, machine, tell  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
 from league.config.experiment import Config  # noqa: E402
@@ -41,6 +42,7 @@ from storage.store import Store  # noqa: E402
 
 CONTROL, TRUE, TRIED = 0.02, 20, (8, 4, 3, 2)  # s; substeps of a control step
 SIDES = ("anymals-sumo", "leatherbacks-sumo")
+MATCHES: tuple[tuple[str, str, str | None], ...]
 MATCHES = (("anymal-walk", "anymal-walk", None), ("block-push-anymal", "anymal-push", "idle"), ("sumo-by-team", *SIDES))
 WARM, APART = 100, 20  # decisions before the first moment, and between two
 
@@ -69,8 +71,11 @@ def main() -> None:
 def settings(name: str, substeps: int, worlds: int) -> Config:
     """The default league in an arena of sumo, its control step of so many substeps."""
     config = configuration.default(name)
-    arena = replace(config.arena, rules=replace(config.arena.rules, timestep=CONTROL / substeps))
-    return replace(config, arena=arena, rating=replace(config.rating, worlds=worlds, pairings=1, record=False))
+    if name == "sumo-by-team":
+        rules = replace(config.arena.rules, timestep=CONTROL / substeps)  # type: ignore
+        config = replace(config, arena=replace(config.arena, rules=rules))  # type: ignore
+    stages.TIMESTEP = CONTROL / substeps  # that of walk and push, where it is no setting
+    return replace(config, rating=replace(config.rating, worlds=worlds, pairings=1, record=False))
 
 
 def ends(worlds: int, moments: int) -> dict[str, dict]:
