@@ -29,6 +29,7 @@ from league.environment import prepare  # noqa: E402
 
 prepare()  # before jax reads the environment
 
+from benchmarks.ablations import CAREFUL, EASY, FREE, LONG, RESTLESS, STRONG, SUCCESS  # noqa: E402
 from benchmarks.episodes import Pair, bare, rate, score  # noqa: E402
 from benchmarks.record import commit, machine, own_and_further  # noqa: E402
 from league.config import experiment as configuration  # noqa: E402
@@ -51,6 +52,7 @@ MATCH = {
     "training.snapshots-per-doubling": "2",
 }  # fmt: skip
 """The outcome alone as reward, and fresh critics: smaller steps, and a longer view."""
+SCORE = SUCCESS | STRONG | LONG | RESTLESS | CAREFUL
 TURNS = {"training.schedule.kind": "leapfrog", "training.schedule.period-steps": "10000000"}
 
 
@@ -83,10 +85,14 @@ STAGES = {
     ),
     "soccer-walk": Stage("soccer-walk", "10m", 0.9),
     "soccer-ball": Stage("soccer-ball", "10m", 0.9, ("soccer-walk",), PUSH),
-    "soccer-score": Stage("soccer-score", "15m", 0.7, ("soccer-ball",), PUSH),
-    "soccer-score-leatherback": Stage("soccer-score-leatherback", "15m", 0.7, (), PUSH),
+    "soccer-score-easy": Stage("soccer-score", "5m", 0.7, ("soccer-ball",), SCORE | EASY),
+    "soccer-score": Stage("soccer-score", "15m", 0.7, ("soccer-score-easy",), SCORE),
+    "soccer-score-leatherback-easy": Stage("soccer-score-leatherback", "5m", 0.7, (), SCORE | FREE | EASY),
+    "soccer-score-leatherback": Stage(
+        "soccer-score-leatherback", "15m", 0.7, ("soccer-score-leatherback-easy",), SCORE | FREE
+    ),
     "soccer-leapfrog": Stage(
-        "soccer-1v1", "30m", 0.74, ("soccer-score", "soccer-score-leatherback"), MATCH | TURNS, "initial"
+        "soccer-1v1", "30m", 0.74, ("soccer-score", "soccer-score-leatherback"), MATCH | TURNS | FREE, "initial"
     ),
 }
 

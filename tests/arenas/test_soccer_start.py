@@ -93,20 +93,17 @@ def test_in_the_first_stage_the_ball_is_near_the_robot():
 
 def test_an_easy_start_has_the_ball_on_its_way_and_the_robot_behind_it():
     settings = arenas.settings("soccer-score-leatherback")
-    eased = replace(settings, rules=replace(settings.rules, ease=1.0))
-    places, _, _, game = starts(eased, 2000)
-    side = np.asarray(game.side)
-    goal = np.stack([side * 9.25, 0 * side], axis=1)
-    clear = KINDS[settings.robot].hull / 2 + 0.11
+    hard, *_ = starts(settings, 2000)
+    places, _, _, game = starts(replace(settings, rules=replace(settings.rules, ease=0.5)), 2000)
+    clear = KINDS["leatherback"].hull / 2 + 0.11
     assert np.linalg.norm(places[:, 0] - places[:, 1], axis=1).min() >= clear - 1e-4
     assert (np.abs(places) <= np.array([9.75, 4.75]) - np.array([clear - 0.11, 0.11])[:, None] + 1e-5).all()
     assert not over_goal(places[:, 1]).any()
-    way = np.linalg.norm(places[:, 1] - goal, axis=1)
-    hard, *_ = starts(settings, 2000)
-    assert np.median(way) < 0.7 * np.median(np.linalg.norm(hard[:, 1] - goal, axis=1))
-    near = way < 3.0
-    assert near.mean() > 0.2
-    behind = np.linalg.norm(places[:, 0] - goal, axis=1) > way
-    assert behind[near].mean() > 0.8
-    half, *_ = starts(replace(settings, rules=replace(settings.rules, ease=0.5)), 2000)
-    assert 0.4 < (np.abs(half - hard) < 1e-4).all(axis=(1, 2)).mean() < 0.7
+    easy = (np.abs(places - hard) > 1e-4).any(axis=(1, 2))
+    assert 0.35 < easy.mean() <= 0.55  # half, less those that found no room
+    goal = np.stack([np.asarray(game.side) * 9.25, np.zeros(2000)], axis=1)
+    robot, ball = (np.linalg.norm(places[:, i] - goal, axis=1) for i in range(2))
+    assert np.median(ball[easy]) < 0.7 * np.median(ball[~easy])
+    near = easy & (ball < 3.0)
+    assert near.sum() > 0.2 * easy.sum()
+    assert (robot > ball)[near].mean() > 0.8
