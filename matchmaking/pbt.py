@@ -69,6 +69,30 @@ class Pbt:
             raise ValueError("hyperparameters: name each only once")
 
 
+def check_pbt(pbt: Pbt, schedule: str, deterministic: bool, lr_moves: bool) -> None:
+    """Refuse what contradicts a league's other settings: ValueError, which says why.
+
+    Args:
+        pbt: its settings.
+        schedule: the kind of its schedule.
+        deterministic: whether it is to end with the same bytes however often it is killed.
+        lr_moves: whether the learner moves its step size itself.
+    """
+    if pbt.ready is None:
+        if pbt != Pbt():
+            raise ValueError("training.pbt: nobody copies anybody while training.pbt.ready is none; give it steps")
+        return
+    if deterministic and pbt.by == "rating":
+        raise ValueError(
+            'deterministic: training.pbt.by = "rating" follows rating matches, which end in no fixed order; use'
+            ' "win_rate"'
+        )
+    if schedule == "ladder":
+        raise ValueError("training.pbt: the schedule ladder copies players itself; use another kind")
+    if "lr" in pbt.hyperparameters and lr_moves:
+        raise ValueError("training.pbt: learner.kl_step moves lr already; leave one of them out")
+
+
 def partner(others: Sequence[str], rng: np.random.Generator) -> str | None:
     """With whom of the others that are ready a player compares itself: each as likely as another; None without any."""
     return others[int(rng.integers(len(others)))] if others else None

@@ -31,7 +31,7 @@ from league.config.sections import (
     named_players,
 )
 from matchmaking.opponents.settings import BY_RATINGS, Opponents
-from matchmaking.pbt import Pbt
+from matchmaking.pbt import Pbt, check_pbt
 from matchmaking.roles import MAIN, Role, check_roles, role_named
 from storage.records import Player
 
@@ -107,7 +107,7 @@ class Config:
         if training.devices > 1:
             self._check_devices()
         self._check_players()
-        self._check_pbt()
+        check_pbt(training.pbt, training.schedule.kind, self.deterministic, self.learner.kl_step is not None)
         check_roles(self.roles, [player.role for player in self.players])
 
     @property
@@ -151,23 +151,6 @@ class Config:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")
         if self.budget.train is not None:
             raise ValueError('budget.train: time runs differently every time; deterministic wants "none" here')
-
-    def _check_pbt(self) -> None:
-        """Who copies whom must be told by what is there, and nothing else may move what moves."""
-        pbt, learner = self.training.pbt, self.learner
-        if pbt.ready is None:
-            if pbt != Pbt():
-                raise ValueError("training.pbt: nobody copies anybody while training.pbt.ready is none; give it steps")
-            return
-        if self.deterministic and pbt.by == "rating":
-            raise ValueError(
-                'deterministic: training.pbt.by = "rating" follows rating matches, which end in no fixed order; use'
-                ' "win_rate"'
-            )
-        if self.training.schedule.kind == "ladder":
-            raise ValueError("training.pbt: the schedule ladder copies players itself; use another kind")
-        if "lr" in pbt.hyperparameters and learner.kl_step is not None:
-            raise ValueError("training.pbt: learner.kl_step moves lr already; leave one of them out")
 
     def _check_players(self) -> None:
         """Names tell players apart in the whole league, and a group has one place for each team."""
