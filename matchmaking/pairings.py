@@ -99,8 +99,8 @@ def _able(
     met = np.zeros((len(first), len(first)), bool)
     i, j = np.nonzero(wanted)
     met[kind[i], kind[j]] = True
-    for a, b in np.argwhere(met):
-        met[a, b] = may_meet(names[first[a]], names[first[b]])
+    for a, b in np.argwhere(met).tolist():
+        met[a, b] = may_meet(names[int(first[a])], names[int(first[b])])
     return met[kind[:, None], kind]
 
 
