@@ -92,6 +92,7 @@ FOUND = {
     "fewer voids than none": (("forgetting", "--store", "store"), "UPDATE matches SET voids = -7", 2),
     "a time that is none": (("payoff", "--store", "store"), "UPDATE matches SET created = 'soon'", 2),
     "a password behind no name": (("status", "--store", "//:hunter2@-1"), "", 2),
+    "a password behind four slashes": (("status", "--store", "sqlite:////bob:hunter2@h/x.db"), "", 2),
     "a number of more digits than Python reads": (("run", "big.toml", "--help"), "", 2),
     "an archive that begins too late": (("unpack", "late.zip", "--store", "new"), "", 2),
 }
