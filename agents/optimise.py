@@ -14,7 +14,8 @@ from torch.utils import _pytree as pytree
 from agents.parallel import ALONE, Together
 from agents.settings import Precision
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 Rows = TypeVar("Rows")  # tensors (B, ...) in lists and tuples
 
 BETAS, EPSILON = (0.9, 0.999), 1e-5
