@@ -268,7 +268,7 @@ def _near(value: Any) -> tuple:
         case int():
             return (value + 1, value - 1)
         case float():
-            return (1.1 * value + 0.01, 0.9 * value, 2.0 * value)
+            return (1.1 * value + 0.01, *((0.9 * value, 2.0 * value) if value else ()))
         case (int() | float(), *_):
             return (tuple(1.1 * each for each in value),)
     return ()
