@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-STYLES = ("bright_blue", "yellow", "green", "magenta", "cyan", "red")  # in the terminal's own shades
+STYLES = ("bright_blue", "bright_red", "green", "yellow", "magenta", "cyan")  # in the terminal's own shades
 WIDTH = 8  # columns of a sparkline
 GAUGE = 20  # columns of a gauge
 

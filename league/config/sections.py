@@ -26,9 +26,9 @@ def _lasts(value: Any) -> None:
 
 
 def check_name(value: str) -> None:
-    """Raise ValueError unless the text can be part of names such as blue@16; empty text can."""
-    if not re.fullmatch(r"[\w.+-]*", value):
-        raise ValueError("a name is made of letters, digits and . _ + -")
+    """Raise ValueError unless the text can be part of names such as blue@16, and the name of a file; empty text can."""
+    if not re.fullmatch(r"[\w.+-]*", value) or value in (".", ".."):
+        raise ValueError("a name is made of letters, digits and . _ + -, and not . or .. alone")
 
 
 @dataclass(frozen=True)
