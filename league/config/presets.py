@@ -134,12 +134,12 @@ def within_team() -> Config:
 
 def soccer_1v1() -> Config:
     """HARL-A's soccer of one ANYmal against one Leatherback, from the first step to the matches."""
-    return _ladder("soccer-1v1", *SOCCER)
+    return _ladder("soccer-1v1", *SOCCER, match={"arena": {"rules": FREE}})
 
 
 def soccer_2v2() -> Config:
     """HARL-A's soccer of two ANYmals against two Leatherbacks, from the first step to the matches."""
-    return _ladder("soccer-2v2", *SOCCER)
+    return _ladder("soccer-2v2", *SOCCER, match={"arena": {"rules": FREE}})
 
 
 def galaga_1v1() -> Config:
@@ -152,10 +152,11 @@ def galaga_2v2() -> Config:
     return _ladder("galaga-2v2", *_galaga("2v2"))
 
 
-def _ladder(arena: str, *stages: Stage) -> Config:
-    """HARL-A's stages, and then its matches. Budgets are for a GPU; `--steps` bounds each of them.
+def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) -> Config:
+    """HARL-A's stages, and then its matches, with settings of their own where they have such.
 
-    With this learner an ANYmal walks after 2 million steps (docs/arenas/anymal-walk.md).
+    Budgets are for a GPU; `--steps` bounds each of them. With this learner an ANYmal walks after 2 million
+    steps (docs/arenas/anymal-walk.md).
     """
     config = default(arena)
     learner = HappoConfig(
@@ -163,13 +164,28 @@ def _ladder(arena: str, *stages: Stage) -> Config:
         normalise_observations=True,
     )  # fmt: skip
     training = replace(config.training, rollout=24, shaping_steps=50_000_000, snapshots_per_doubling=4)
-    match = Stage("match", {"budget": {"steps": 500_000_000}})
+    last = Stage("match", {"budget": {"steps": 500_000_000}, **(match or {})})
     budget = Budget(rate="5m")
-    return replace(config, league=arena, learner=learner, training=training, budget=budget, stages=(*stages, match))
+    return replace(config, league=arena, learner=learner, training=training, budget=budget, stages=(*stages, last))
 
 
 def _stage(name: str, arena: str, **budget: Any) -> Stage:
     return Stage(name, {"arena": {"name": arena}, "budget": budget})
+
+
+def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -> Stage:
+    """A robot learns to score by what made it do so (docs/results.md); with `ease` it begins on the way to the goal.
+
+    Hints are strong and fade by success, nothing is paid for standing anywhere, the view is long and steps are careful.
+    """
+    reward = {"approach": 1.0, "push": 4.0, "near": 0.0, "ball": 0.0}
+    name = arena.removeprefix("soccer-") + ("-easy" if ease else "")
+    settings = {
+        "arena": {"name": arena, "reward": reward, "rules": {**rules, "ease": ease}}, "budget": budget,
+        "learner": {"lr": 3e-4, "kl_step": 0.01, "gamma": 0.997},
+        "training": {"shaping_until": 0.9, "shaping_steps": "none"},
+    }  # fmt: skip
+    return Stage(name, settings)
 
 
 SUMO = (
@@ -177,11 +193,15 @@ SUMO = (
     _stage("push-anymal", "block-push-anymal", steps=100_000_000),
     _stage("push-leatherback", "block-push-leatherback", steps=50_000_000),
 )
+FREE = {"drive_scale": 40.0, "steer_scale": 0.5}
+"""Of a Leatherback in soccer: full throttle is 1.25 units of its action and not 5, which exploring never reaches."""
 SOCCER = (
     _stage("walk", "soccer-walk", success=0.9, steps=200_000_000),
     _stage("ball", "soccer-ball", success=0.9, steps=100_000_000),
-    _stage("score", "soccer-score", success=0.7, steps=200_000_000),
-    _stage("score-leatherback", "soccer-score-leatherback", success=0.7, steps=100_000_000),
+    _scoring("soccer-score", 1.0, {}, success=0.7, steps=25_000_000),
+    _scoring("soccer-score", 0.0, {}, success=0.7, steps=200_000_000),
+    _scoring("soccer-score-leatherback", 1.0, FREE, success=0.7, steps=25_000_000),
+    _scoring("soccer-score-leatherback", 0.0, FREE, success=0.7, steps=100_000_000),
 )
 
 

@@ -1,5 +1,7 @@
 """Soccer's curricula: stages that fit each other, so that every policy goes on from the stage before."""
 
+from dataclasses import replace
+
 import pytest
 
 import arenas
@@ -12,7 +14,7 @@ from storage.store import Store
 from tests.league.conftest import call
 
 PRESETS = {"soccer-1v1": presets.soccer_1v1, "soccer-2v2": presets.soccer_2v2}
-STAGES = ("walk", "ball", "score", "score-leatherback", "match")
+STAGES = ("walk", "ball", "score-easy", "score", "score-leatherback-easy", "score-leatherback", "match")
 
 
 def players(config):
@@ -29,20 +31,28 @@ def test_stages_lead_from_the_first_step_to_the_matches(name):
     found = [configuration.stage(config, number) for number in range(len(STAGES))]
     assert tuple(each.league for each in found) == tuple(f"{name}.{stage}" for stage in STAGES)
     assert [each.arena.name for each in found] == [
-        "soccer-walk", "soccer-ball", "soccer-score", "soccer-score-leatherback", name
+        "soccer-walk", "soccer-ball", *["soccer-score"] * 2, *["soccer-score-leatherback"] * 2, name
     ]  # fmt: skip
-    assert found[-1].arena == arenas.settings(name)
+    assert [each.arena.rules.ease for each in found[2:-1]] == [1.0, 0.0, 1.0, 0.0]
+    assert [each.training.shaping_until for each in found] == [None, None, 0.9, 0.9, 0.9, 0.9, None]
+    units = [(each.arena.rules.drive_scale, each.arena.rules.steer_scale) for each in found[4:]]
+    assert units == [(40.0, 0.5)] * 3  # a policy means the same by its actions wherever it goes on
+    plain = arenas.settings(name)
+    assert found[-1].arena == replace(plain, rules=found[-1].arena.rules)
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_policy_goes_on_from_the_newest_stage_of_its_kind(name):
-    walk, ball, score, rovers, match = (
+    walk, ball, easy, score, easily, rovers, match = (
         players(configuration.stage(PRESETS[name](), number)) for number in range(len(STAGES))
     )
     assert heirs.heritage(ball, [walk])["blue"].actors == (Source(f"{name}.walk", "blue", 0),)
-    assert heirs.heritage(score, [ball, walk])["blue"].actors == (Source(f"{name}.ball", "blue", 0),)
-    assert heirs.heritage(rovers, [score, ball, walk])["blue"].actors == (None,)
-    found, size = heirs.heritage(match, [rovers, score, ball, walk]), len(match[0].roster.split("+"))
+    assert heirs.heritage(easy, [ball, walk])["blue"].actors == (Source(f"{name}.ball", "blue", 0),)
+    assert heirs.heritage(score, [easy, ball, walk])["blue"].actors == (Source(f"{name}.score-easy", "blue", 0),)
+    assert heirs.heritage(easily, [score, easy, ball, walk])["blue"].actors == (None,)
+    before = [rovers, easily, score, easy, ball, walk]
+    assert heirs.heritage(rovers, before[1:])["blue"].actors == (Source(f"{name}.score-leatherback-easy", "blue", 0),)
+    found, size = heirs.heritage(match, before), len(match[0].roster.split("+"))
     assert found["blue"].actors == (Source(f"{name}.score", "blue", 0),) * size
     assert found["red"].actors == (Source(f"{name}.score-leatherback", "blue", 0),) * size
 
@@ -57,7 +67,7 @@ def test_soccer_is_walked_from_the_first_step_to_the_matches(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     for number, name in enumerate(STAGES, 1):
-        assert f"Stage {number} of 5, {name}" in done.stdout
+        assert f"Stage {number} of 7, {name}" in done.stdout
     assert "blue: actors go on from soccer-1v1.score's blue/0" in done.stdout
     with Store.open(tmp_path / "league-data") as store:
         assert {p.roster for p in store.players("soccer-1v1.match")} == {"anymal:66:12", "leatherback:24:2"}
