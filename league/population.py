@@ -13,7 +13,6 @@ from zlib import crc32
 
 import numpy as np
 
-from agents.settings import HappoConfig
 from league.standing import Standing
 from matchmaking.payoff import Score, quantile
 from matchmaking.pbt import partner
@@ -22,6 +21,7 @@ from storage import arrays
 from storage.records import Meeting, Player, Snapshot
 
 if TYPE_CHECKING:  # a query reads no configuration
+    from agents.settings import HappoConfig
     from league.config.experiment import Config
     from league.query import Open
 
@@ -141,7 +141,7 @@ def words(opened: "Open", standing: Standing) -> dict[str, str]:
 # In a checkpoint -----------------------------------------------------------------------------------------------------
 
 
-def hyperparameters(settings: HappoConfig, names: Sequence[str]) -> dict[str, float]:
+def hyperparameters(settings: "HappoConfig", names: Sequence[str]) -> dict[str, float]:
     """Those of a learner that may move, as it has them."""
     return {name: float(getattr(settings, name)) for name in names}
 

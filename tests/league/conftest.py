@@ -1,4 +1,5 @@
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -37,9 +38,13 @@ def call(*args: str, cwd: Path, timeout: float = 540) -> subprocess.CompletedPro
 
 
 def start(*args: str, cwd: Path) -> subprocess.Popen:
-    """Start a command; what it says is added to out.txt in its folder."""
-    with (cwd / "out.txt").open("ab") as out:
-        return subprocess.Popen(command(*args), cwd=cwd, stdout=out, stderr=out, env=ENVIRONMENT)
+    """Start a command; what it says is added to out.txt in its folder. It hears Ctrl-C, whoever started these tests."""
+    kept = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it, and so inherits
+    try:
+        with (cwd / "out.txt").open("ab") as out:
+            return subprocess.Popen(command(*args), cwd=cwd, stdout=out, stderr=out, env=ENVIRONMENT)
+    finally:
+        signal.signal(signal.SIGINT, kept)
 
 
 def wait_for(folder: Path, what: Callable[[Store], T], seconds: float = 300) -> T:

@@ -421,7 +421,7 @@ def test_in_a_deterministic_league_nothing_hangs_on_how_long_learning_took():
         over = replace(config, budget=configuration.Budget(steps=1))
         newest = next(s for s in state.snapshots if s.name == "blue@64")
         assert [s.name for s in yardsticks(over, state, newest)] == ["blue@0", "pusher"]
-        logs.append(pairs_of(plan.next_matches(over, state)))
+        logs.append(pairs_of(matches.next_matches(over, state)))
     assert logs[0] == logs[1]
     assert logs[0]
 

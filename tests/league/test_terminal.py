@@ -33,7 +33,7 @@ def seen(folder, *args: str, term: str = "xterm-256color") -> str:
     """What a command writes to a terminal of 100 columns."""
     ours, its = pty.openpty()
     fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 100, 0, 0))
-    environment = {**ENVIRONMENT, "TERM": term}
+    environment = {**{k: v for k, v in ENVIRONMENT.items() if k not in ("COLUMNS", "LINES")}, "TERM": term}
     with subprocess.Popen(command(*args), cwd=folder, stdout=its, stderr=its, env=environment) as process:
         os.close(its)
         parts = []

@@ -240,7 +240,7 @@ def test_a_column_that_is_missing_is_found(folder: Path, table: str, column: str
 def test_another_schema_is_refused_and_not_brought_up_to_date(folder: Path):
     for schema, kind, says in (
         (1, OldStore, "has schema 1"),
-        (3, StorageError, "has schema 3, and today's is 4: `league status` brings it"),
+        (3, StorageError, "has schema 3, and today's is 4: `league migrate` brings it"),
         (9, NewerStore, "knows only up to 4"),
     ):
         change(folder, f"UPDATE robot_league SET schema = {schema}")
