@@ -34,7 +34,7 @@ def assert_alike(variant: dict[str, Any], device: str, experience, rounding: flo
 def test_every_variant_is_one_graph(variant: dict, experience, monkeypatch):
     """Without the compiler itself, which takes a minute for all of them."""
     monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="aot_eager"))
-    assert_alike(variant, "cpu", experience, 1e-3 if "precision" in variant else 1e-6)
+    assert_alike(variant, "cpu", experience, 1e-2 if "precision" in variant else 1e-6)
 
 
 @pytest.mark.parametrize("device", HERE)

@@ -4,6 +4,8 @@ import json
 import random
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -85,8 +87,9 @@ def test_only_what_there_is_is_harmed(scene):
 def test_a_line_hands_on_goes_silent_and_hangs_up(tmp_path):
     import psycopg
 
-    tmp_path.chmod(0o755)
-    for above in tmp_path.parents[:2]:
+    for above in (tmp_path, *tmp_path.parents):  # the server's owner has to get through
+        if above == Path(tempfile.gettempdir()).resolve():
+            break
         above.chmod(0o755)
     server = Server(tmp_path / "server")
     line = Line(server.port)
