@@ -1,4 +1,15 @@
-"""Which pairs of snapshots should be rated next: those whose games tell most."""
+"""Which pairs of snapshots should be rated next: those whose games tell most.
+
+Ratings compare only whom games connect, by whatever detour. So as long as games played or planned leave several parts
+that could be joined, only pairs that join two are planned: first parts of several snapshots with the largest.
+
+Again and again the candidate with the fewest episodes is chosen, the newest of those if they tie: everything plays
+something before anything plays much. Its opponent is the first of its `always` list that it has not met for `quota`
+episodes, else the candidate of whom a game tells most about the gap: a game's information is the variance of its score,
+p(1-p), and what it adds to the knowledge of a gap of variance V grows with p(1-p) V (expected information gain, Lindley
+1956). That prefers equals over the far, and the unknown over the known. A planned pair counts as `quota` episodes for
+the rest of the batch, and as the information that they will give.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -21,15 +32,6 @@ def pairings(
 ) -> list[tuple[str, str]]:
     """The pairs of snapshots to be rated next, most useful first.
 
-    Ratings compare only whom games connect, by whatever detour. So as long as games played or planned leave several
-    parts that could be joined, only pairs that join two are planned: first parts of several snapshots with the largest.
-
-    Again and again the candidate with the fewest episodes is chosen, the newest of those if they tie: everything plays
-    something before anything plays much. Its opponent is the first of its `always` list that it has not met for
-    `quota` episodes, else the candidate of whom a game tells most about the gap: a game's information is the variance
-    of its score, p(1-p), and what it adds to the knowledge of a gap of variance V grows with p(1-p) V (expected
-    information gain, Lindley 1956). That prefers equals over the far, and the unknown over the known.
-    A planned pair counts as `quota` episodes for the rest of the batch, and as the information that they will give.
     Ties go to the newest, so the same arguments always give the same plan. Void episodes count as played, lest a pair
     that always fails be planned for ever. Where every pair has its quota, nothing is fitted.
 

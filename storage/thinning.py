@@ -9,6 +9,7 @@ leaves orphans, which the next one finds.
 Snapshots stay whole: each may play again.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from storage.rows import NEWEST_CHECKPOINT
 
 Tell = Callable[[str, int, int | None], None]
 """Is told how it goes on: of what, how much, and of how much."""
+_DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
 BATCH = 500  # rows changed at once: others want to write too
 
 
@@ -169,7 +171,19 @@ def _named(database: Database, checkpoints: Iterable[int] = (), recordings: Iter
                     raise _damaged(database, f"a row of {name} names no blob")
                 if (key[0] if len(key) == 1 else tuple(key)) not in less[name]:
                     named.add(found)
+        named.update(_awaited(db))
     return named
+
+
+def _awaited(db: sa.Connection) -> Iterable[str]:
+    """The blobs to which jobs point that are still to be done, such as the checkpoint that a player is to copy.
+
+    Its row may have gone meanwhile. Whatever stands in a payload like a blob's name counts, whoever can read the rest.
+    """
+    c = t.jobs.c
+    payload = sa.type_coerce(c.payload, sa.types.NullType())
+    for (text,) in db.execute(sa.select(payload).where(c.state.in_(("queued", "leased")))):
+        yield from _DIGEST.findall(str(text))
 
 
 def _require_sound(database: Database) -> None:

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from storage import tables as t
 from storage.blobs import Entry, open_blobs
 from storage.errors import StorageError
-from storage.records import Checkpoint
+from storage.records import Checkpoint, Job
 from storage.store import Store
 from storage.thinning import Done, Policy
 from storage.verifying import verify
@@ -56,6 +56,23 @@ def test_a_store_of_what_is_needed_keeps_all_of_it(folder: Path):
     with Store.open(folder) as store:
         assert not store.waste(policy())
     assert contents(folder) == before
+
+
+@pytest.mark.parametrize(("state", "kept"), [("queued", True), ("leased", True), ("done", False)])
+def test_what_a_job_that_is_to_be_done_points_to_stays(folder: Path, state: str, kept: bool):
+    with Store.open(folder) as store:
+        copied = store.blobs.put(b"a checkpoint whose row has gone")
+        store.queue([Job("cup", "train", "turn", {"copies": {"blue": ["red", copied, "red@1"]}})])
+        if state != "queued":
+            claimed = store.claim("cup", ["train"], "w:1:1", 60)
+            while claimed is not None and claimed[1].key != "turn":
+                claimed = store.claim("cup", ["train"], "w:1:1", 60)
+            assert claimed is not None
+            if state == "done":
+                store.finish(claimed[0])
+    older(blob(folder, copied))
+    thin(folder, policy())
+    assert blob(folder, copied).exists() == kept
 
 
 def test_what_nobody_names_goes_and_what_is_young_stays(folder: Path):
