@@ -36,7 +36,7 @@ from benchmarks.servers import Line, Server, programs, small_disk  # noqa: E402
 
 # What is done, and how often in comparison. Some of it needs a database or a disk of a kind.
 OFTEN = {
-    harm.kill_one: 10, harm.kill_all: 10, harm.freeze: 1, harm.second_manager: 1,
+    harm.kill_one: 10, harm.kill_all: 10, harm.kill_starting: 10, harm.freeze: 1, harm.second_manager: 1,
     harm.fill_disk: 3, harm.restart_server: 2, harm.cut_line: 2,
     harm.skewed_worker: 2,
 }  # fmt: skip
@@ -74,7 +74,7 @@ def strike(scene: Scene, strikes: int, chosen: list[str]) -> Counter[str]:
     """Do so many things to the league, at random moments: some at once, some when it has come on since the last."""
     told, dice, can = Counter[str](), scene.dice, possible(scene, chosen)
     for _ in range(strikes):
-        since, come_on = scene.hunted.revision(), dice.random() < 0.7
+        since, come_on = scene.hunted.revision(), dice.random() < 0.5
         waited = scene.hunted.wait(lambda a=since, b=come_on: not b or scene.hunted.revision() >= a + 2, 180)
         pause = time.monotonic() + dice.uniform(0, 3 if come_on else 6)
         if not waited or not scene.hunted.wait(lambda until=pause: time.monotonic() > until, 60):
@@ -87,10 +87,15 @@ def round_of(folder: Path, database: str, asked: argparse.Namespace, seed: int, 
     """A league from its start to its end, and what was done to it. Raises Lost."""
     dice = random.Random(seed)
     with scene(folder, database, asked.steps, dice, asked.disk and dice.random() < 0.3) as on:
-        harmed = strike(on, asked.strikes, asked.harm)
-        on.hunted.finish()
-        _, done = examine(on.hunted, expected)
-        harmed += harm.damage(on) if not asked.harm else Counter()
+        try:
+            harmed = strike(on, asked.strikes, asked.harm)
+            on.hunted.finish()
+            _, done = examine(on.hunted, expected)
+            harmed += harm.damage(on) if not asked.harm else Counter()
+        except Lost:
+            if on.disk is not None:  # it goes with the round
+                shutil.copytree(on.disk, folder / "left")
+            raise
     return {"harm": dict(harmed), **done}
 
 
@@ -185,7 +190,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--rounds", type=int, default=10**6)
     parser.add_argument("--at-once", type=int, default=1, help="rounds side by side")
-    parser.add_argument("--strikes", type=int, default=12, help="in a round")
+    parser.add_argument("--strikes", type=int, default=24, help="in a round")
     parser.add_argument("--steps", type=int, default=20_480, help="of training in a round")
     parser.add_argument("--databases", nargs="+", choices=["sqlite", "postgresql"])
     parser.add_argument("--harm", nargs="+", default=[], choices=[do.__name__ for do in OFTEN], help="none: all")

@@ -39,6 +39,17 @@ def kill_all(scene: Scene) -> Counter[str]:
     return _killed(dict(found)) + Counter({"all at once": 1})
 
 
+def kill_starting(scene: Scene) -> Counter[str]:
+    """SIGKILL to all processes, and again and again while those come up that were started instead."""
+    told = Counter[str]()
+    for _ in range(scene.dice.randint(2, 5)):
+        told += kill_all(scene)
+        pause = time.monotonic() + scene.dice.uniform(0, 6)
+        if not scene.hunted.wait(lambda until=pause: time.monotonic() > until, 60):
+            break  # it has come to its end
+    return told + kill_all(scene)
+
+
 def freeze(scene: Scene) -> Counter[str]:
     """SIGSTOP to one process for longer than it may be silent, and then SIGCONT."""
     pid, kind = scene.dice.choice(sorted(scene.hunted.processes().items()) or [(0, "")])

@@ -67,7 +67,10 @@ def open_blobs(url: str | os.PathLike[str]) -> Blobs:
     text = os.fspath(url)
     if not looks_like_url(text):
         return FolderBlobs(Path(text))
-    parts = urlsplit(text)
+    try:
+        parts = urlsplit(text)
+    except ValueError:  # such as brackets that are no IPv6 address
+        parts = urlsplit("")
     if parts.scheme == "file" and parts.netloc in ("", "localhost") and parts.path.startswith("/"):
         return FolderBlobs(Path(unquote(parts.path)))
     if (

@@ -25,18 +25,21 @@ class Database:
     def __init__(self, engine: sa.Engine, where: str):
         self.engine = engine
         self.where = where  # for messages
+        self.is_server = engine.dialect.name == "postgresql"
+        # On a server a transaction around a single statement would be two more messages to wait for.
+        self._alone = engine.execution_options(isolation_level="AUTOCOMMIT") if self.is_server else engine
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A transaction that sees one state of the database and writes nothing."""
-        with plain_errors(self.where), self.engine.connect() as db:
+        """A connection for a statement that reads. On a server each is a transaction of its own, and so could write."""
+        with plain_errors(self.where), self._alone.connect() as db:
             yield db
 
     @contextmanager
     def unchanging(self) -> Iterator[sa.Connection]:
         """A transaction that reads, and sees one state of the database however many statements it has."""
         with plain_errors(self.where), self.engine.connect() as db:
-            if db.dialect.name == "postgresql":  # by default each of its statements sees what is new
+            if self.is_server:  # by default each of its statements sees what is new
                 db = db.execution_options(isolation_level="REPEATABLE READ")
             yield db
 
@@ -54,7 +57,7 @@ class Database:
         waits, and its holder is refused.
         """
         with plain_errors(self.where), self.engine.execution_options(writes=True, lasting=lasting).begin() as db:
-            if not lasting and db.dialect.name == "postgresql":
+            if not lasting and self.is_server:
                 db.exec_driver_sql("SET LOCAL synchronous_commit = off")
             yield db
 

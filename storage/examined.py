@@ -30,6 +30,7 @@ class Rows:
         self._refer = refer
         self._check = moving.Check((), ())
         self._named: dict[str, Use] = {}
+        self.dropped: set[object] = set()  # blobs that rows named once
         self._counted: dict[str, object] = {}  # league -> how many matches it counts
         self._there = Counter[object]()  # league -> how many there are
 
@@ -48,11 +49,19 @@ class Rows:
                     self._attempt(
                         db, f"table {table.name}", lambda table=table, there=there: self._read(db, table, there)
                     )
+            if t.dropped.name in columns:
+                self._attempt(db, f"table {t.dropped.name}", lambda: self._read_dropped(db))
+            else:
+                self._lose("missing", f"table {t.dropped.name}", "the database has no such table")
         for league, counted in self._counted.items():
             if self._report.told and counted != self._there[league]:
                 problem = f"it counts {counted} matches, and the rows of {self._there[league]} are there"
                 self._report.add("corrupt", f"leagues {league}", problem)
         return self._named
+
+    def _read_dropped(self, db: sa.Connection) -> None:
+        digest = sa.type_coerce(t.dropped.c.digest, sa.types.NullType())
+        self.dropped.update(db.scalars(sa.select(digest)))
 
     def _lose(self, kind: Kind, place: str, problem: object) -> None:
         """Add a finding by which some rows were not read."""
@@ -199,6 +208,8 @@ class Rows:
         """Note which blob a row names. A name that is none is told of as the row's fault."""
         column = moving.BLOBS.get(table)
         if column is None or (table == "matches" and row.get(column) is None):
+            return
+        if row.get("thinned") is not None:
             return
         digest = row.get(column)
         if not (isinstance(digest, str) and moving.is_digest(digest)):

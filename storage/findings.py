@@ -32,12 +32,14 @@ class Report:
     rows: int = 0
     blobs: int = 0  # that rows name
     recordings: int = 0  # those of them that are recordings
+    dropped: int = 0  # blobs that a row named once and may be removed
+    dropped_bytes: int = 0
     told: bool = True  # whether it is known what is orphaned
     findings: list[Finding] = field(default_factory=list)
 
     @property
     def damaged(self) -> bool:
-        """Whether anything is missing or corrupt. What is orphaned is left over, and nobody's loss."""
+        """Whether anything is missing or corrupt. What is orphaned takes space, and is nobody's loss."""
         return any(finding.kind != "orphaned" for finding in self.findings)
 
     def add(self, kind: Kind, place: str, problem: object, size: int = 0) -> None:

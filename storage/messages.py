@@ -19,6 +19,7 @@ _FIELDS = {
     "Step": (
         ("step", "uint64", False), ("time", "double", False), ("qpos", "double", True), ("actions", "Named", True),
         ("reward", "double", True), ("score", "double", True), ("markers", "Named", True), ("terms", "Named", True),
+        ("values", "Named", True),
     ),
     "Event": (("step", "uint64", False), ("text", "string", False)),
 }  # fmt: skip

@@ -69,6 +69,12 @@ _POINTS: Mapping[str, tuple[tuple[str, str], ...]] = {
 BLOBS: Mapping[str, str] = {"checkpoints": "digest", "snapshots": "digest", "matches": "recording"}
 """Tables whose rows name a blob, and in which column."""
 
+
+def needs_blob(table: str, row: Mapping[str, Any]) -> bool:
+    """Whether a row names a blob that is to be there: a match without a recording and a thinned snapshot do not."""
+    return table in BLOBS and row.get(BLOBS[table]) is not None and row.get("thinned") is None
+
+
 _WORDS: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("snapshots", "origin"): get_args(Origin),
     ("jobs", "state"): ("queued", "done", "failed"),
@@ -184,8 +190,8 @@ class Check:
         for column, target in _POINTS.get(name, ()):
             if row[column] is not None and (league, row[column]) not in self._seen[target]:
                 raise ValueError(f"{column} {row[column]!r} is none of the {target} of league {league!r}")
-        if (blob := row[BLOBS[name]] if name in BLOBS else None) is not None:
-            if blob not in self.blobs:
+        if needs_blob(name, row):
+            if (blob := row[BLOBS[name]]) not in self.blobs:
                 raise ValueError(f"{BLOBS[name]} {blob[:64]!r} is no blob of the archive")
             self.named.add(blob)
         if table is t.leagues:

@@ -15,6 +15,7 @@ from sqlalchemy import event
 from sqlalchemy.exc import DBAPIError, NoSuchModuleError
 
 from storage import tables as t
+from storage import waiting
 from storage.database import BUSY_SECONDS, plain_errors
 from storage.errors import NewerStore, NotAStore, OldStore, OutdatedStore, StorageError, disk_error
 from storage.places import copied, shown
@@ -212,9 +213,11 @@ def _server_engine(url: sa.URL, where: str) -> sa.Engine:
     url = url.set(query={**_SERVER, **url.query, "options": f"{_SESSION} {options}".strip()})
     try:
         # Pre-ping: a connection that a restart of the server has cut is replaced before it is used.
-        return sa.create_engine(url, pool_pre_ping=True, json_serializer=_to_json)
+        engine = sa.create_engine(url, pool_pre_ping=True, json_serializer=_to_json)
     except (ModuleNotFoundError, NoSuchModuleError) as error:
         raise StorageError(f"{where} needs a driver: pip install 'robot-league[postgres]' ({error}).") from error
+    waiting.SERVERS.over(engine)
+    return engine
 
 
 def _write_ahead(connection: Any) -> None:
@@ -233,6 +236,45 @@ def _write_ahead(connection: Any) -> None:
             time.sleep(0.02)
 
 
+def _begin_to_write(connection: sa.Connection) -> None:
+    """Take SQLite's write lock, and say so while another process keeps it: one that was stopped keeps it in silence.
+
+    The driver is spoken to itself, since each word through SQLAlchemy costs more than SQLite takes for all of them.
+    """
+    driver, start, patience = _driver(connection), time.monotonic(), waiting.SAY_SECONDS
+    try:
+        while (left := BUSY_SECONDS - (time.monotonic() - start)) > 0:
+            driver.execute(f"PRAGMA busy_timeout = {int(1000 * min(patience, left))}")
+            try:
+                driver.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.Error as error:
+                waited = time.monotonic() - start
+                if getattr(error, "sqlite_errorcode", 0) & 0xFF != sqlite3.SQLITE_BUSY or waited >= BUSY_SECONDS:
+                    break
+                waiting.say(f"other processes have kept the store locked for {waited:.0f} s")
+                patience = waited
+        connection.exec_driver_sql("BEGIN IMMEDIATE")  # whose complaint is SQLAlchemy's
+    finally:
+        driver.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_SECONDS)}")
+
+
+def _driver(connection: sa.Connection) -> sqlite3.Connection:
+    driver = connection.connection.driver_connection
+    assert isinstance(driver, sqlite3.Connection)
+    return driver
+
+
+def is_locked(path: Path, seconds: float) -> bool:
+    """Whether another process keeps a SQLite store from being written to for that long. Changes nothing."""
+    with closing(sqlite3.connect(path, timeout=seconds, isolation_level=None)) as db:
+        try:
+            db.execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError as error:
+            return error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
+        return False  # closing lets go of it
+
+
 def _sqlite_engine(url: sa.URL) -> sa.Engine:
     engine = sa.create_engine(url, connect_args={"timeout": BUSY_SECONDS}, json_serializer=_to_json)
 
@@ -246,9 +288,11 @@ def _sqlite_engine(url: sa.URL) -> sa.Engine:
     @event.listens_for(engine, "begin")
     def _begin(connection: sa.Connection) -> None:
         asked = connection.get_execution_options()
-        if asked.get("writes"):
-            connection.exec_driver_sql(f"PRAGMA synchronous = {'FULL' if asked.get('lasting', True) else 'NORMAL'}")
         # A transaction that reads first and writes later can fail half-way when another writer slips in between.
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if asked.get("writes") else "BEGIN")
+        if asked.get("writes"):
+            _driver(connection).execute(f"PRAGMA synchronous = {'FULL' if asked.get('lasting', True) else 'NORMAL'}")
+            _begin_to_write(connection)
+        else:
+            connection.exec_driver_sql("BEGIN")
 
     return engine

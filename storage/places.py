@@ -132,7 +132,7 @@ def _parsed(text: str) -> sa.URL:
         or url.database == ":memory:"
         or url.database.startswith("file:")
         or any((url.host, url.username, url.password))
-        or re.match(r"(?!\.)/*[^/:]*:.*@", url.database)  # name:password@host, after a / too many, or two
+        or re.match(r"(?s)(?!\.).*:.*@", url.database)  # name:password@host, after slashes too many, or a path
     ):
         raise StorageError("A store is shared by processes: give a file, as in sqlite:///runs/league.db.")
     if re.search(r"(?i)(pass|secret|token)\w*=", text.partition("?")[0]):

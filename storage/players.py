@@ -54,9 +54,13 @@ class Players(Verbs):
         order = (sa.case((c.player.is_(None), 0), else_=1), c.iteration, c.name)
         return self._db.records(Snapshot, t.snapshots, c.league == league, *mine, order=order)
 
-    def snapshot_count(self, league: str) -> int:
-        """How many snapshots the league has. They never change, so with as many as before they are the same."""
-        return self._db.rows(sa.select(sa.func.count()).where(t.snapshots.c.league == league))[0][0]
+    def snapshot_count(self, league: str) -> tuple[int, int]:
+        """How many snapshots the league has, and how many of them are thinned.
+
+        Nothing else of them ever changes, so with as many as before they are the same.
+        """
+        c = t.snapshots.c
+        return tuple(self._db.rows(sa.select(sa.func.count(), sa.func.count(c.thinned)).where(c.league == league))[0])
 
     def checkpoint(self, league: str, player: str) -> Checkpoint | None:
         """Where a player goes on: its newest checkpoint by iteration, None before the first."""

@@ -36,6 +36,8 @@ def _snapshot(row: Mapping[str, Any]) -> None:
     _digest(row)
     if (row["origin"] == "scripted") != (row["script"] is not None):
         raise ValueError(f"its origin is {row['origin']} and its script {row['script']!r}")
+    if row["thinned"] is not None and (row["player"] is None or row["initial"]):
+        raise ValueError("it has been thinned, which no script, import or first policy ever is")
 
 
 def _match(row: Mapping[str, Any]) -> None:

@@ -19,10 +19,12 @@ class Queue(Verbs):
     def queue(self, jobs: Sequence[Job], phases: Sequence[Phase] = ()) -> int:
         """Queue those whose key the league does not have yet, in any state; how many were new.
 
+        One that names a thinned snapshot is left out: whoever planned it has not seen that yet, and plans anew.
+
         Phases whose number their group does not have yet are added in the same transaction. Raises UnknownName.
         """
         with self._db.changing(row.league for row in (*jobs, *phases)) as db:
-            begun, new = rows.add_phases(db, phases), rows.add_jobs(db, jobs)
+            begun, new = rows.add_phases(db, phases), rows.add_jobs(db, rows.without_thinned(db, jobs))
             if not (begun or new):
                 db.rollback()
             return new
@@ -36,13 +38,14 @@ class Queue(Verbs):
         self._require_blobs(match.recording for match in matches if match.recording is not None)
         if strange := next((match.league for match in matches if match.league != done.league), None):
             raise StorageError(f"Job {done.key} of league {done.league!r} has a result for league {strange!r}.")
-        with self._db.changing([done.league]) as db:
+        with self._db.writing() as db:
+            last = rows.lengthen(db, done.league, len(matches))
             if not rows.add_jobs(db, [done]):
                 db.rollback()
                 return False
             mine = (t.jobs.c.league == done.league, t.jobs.c.key == done.key)
             db.execute(sa.update(t.jobs).where(*mine).values(state="done"))
-            rows.add_matches(db, done.league, matches)
+            rows.add_matches(db, matches, last)
             return True
 
     def jobs(
@@ -67,24 +70,26 @@ class Queue(Verbs):
         kinds: Sequence[str],
         holder: str,
         seconds: float,
-        prefer: Sequence[str] = (),
         max_attempts: int = 10,
     ) -> tuple[Lease, Job] | None:
         """Take the job of highest priority, oldest first, for `seconds`; None when there is nothing to do now.
 
-        Among equal priorities, jobs whose key starts with one of `prefer` come first (their kernels are compiled). A
-        job that failed is passed over until its `not_before`. A job whose lease has expired can be claimed again; after
-        `max_attempts` such expiries it becomes failed instead.
+        A job that failed is passed over until its `not_before`. A job whose lease has expired can be claimed again;
+        after `max_attempts` such expiries it becomes failed instead.
         """
-        asked = tuple(kinds)
-        some, hopeless = leases.look(self._db, league, asked, max_attempts)
+        if not (asked := tuple(kinds)):
+            return None
+        with self._db.reading() as db:  # cheaper than to take, and on SQLite it keeps nobody from writing
+            some, hopeless = leases.look(db, league, asked, max_attempts)
+            if some and not hopeless and self._db.is_server:
+                return leases.claim(db, league, asked, holder, seconds, max_attempts)
         if hopeless:
             with self._db.changing([league]) as db:
                 leases.give_up(db, league, asked, max_attempts)
         if not some:
             return None
         with self._db.writing(lasting=False) as db:
-            return leases.claim(db, league, asked, holder, seconds, tuple(prefer), max_attempts)
+            return leases.claim(db, league, asked, holder, seconds, max_attempts)
 
     def renew(self, lease: Lease, seconds: float) -> bool:
         """Hold the job for `seconds` from now; False when it is no longer ours."""
@@ -120,13 +125,14 @@ class Queue(Verbs):
             for row in (*checkpoints, *snapshots, *matches, *curves, *meetings, *jobs):
                 if row.league != league:
                     raise StorageError(f"Job {lease.job} of league {league!r} has a result for league {row.league!r}.")
+            last = rows.lengthen(db, league, len(matches))
             leases.require_newest(db, league, bases or {})
             rows.add_snapshots(db, snapshots)
             rows.add_checkpoints(db, league, checkpoints, keep)
-            rows.add_matches(db, league, matches)
+            rows.add_matches(db, matches, last)
             rows.add_curves(db, curves)
             rows.add_meetings(db, meetings)
-            rows.add_jobs(db, jobs)
+            rows.add_jobs(db, rows.without_thinned(db, jobs))
 
     def fail(self, lease: Lease, error: str, tries: int = 3, wait: float = 5.0) -> bool:
         """Say why a job failed; False when it is no longer ours.
@@ -152,7 +158,7 @@ class Queue(Verbs):
     def release(self, lease: Lease) -> bool:
         """Give the job back at once, with nothing held against it; False when it is no longer ours."""
         with suppress(LeaseLost), self._db.writing() as db:
-            leases.end(db, lease, state="queued", holder=None)
+            leases.release(db, lease)
             return True
         return False
 
@@ -162,7 +168,8 @@ class Queue(Verbs):
         failed = (c.id == job, c.state == "failed")
         clean = {"state": "queued", "error": None, "expiries": 0, "failures": 0, "not_before": 0.0}
         with self._db.writing() as db:
-            if (league := db.scalar(sa.select(c.league).where(*failed))) is None:
+            league = db.scalar(sa.update(t.jobs).where(*failed).values(clean).returning(c.league))
+            if league is None:
                 return False
             rows.touch(db, [league])
-            return db.execute(sa.update(t.jobs).where(*failed).values(clean)).rowcount == 1
+            return True

@@ -82,11 +82,14 @@ class Recording:
     markers: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (T, m), e.g. a circle's x, y, radius in m
     events: Sequence[tuple[int, str]] = ()  # (step, text)
     terms: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (T, teams), what the reward is made of
+    # (T,) by who is judged, a team or one of its agents: what its critic held the state to be worth in which the action
+    # was chosen, in units of reward; nobody whose critic was not there:
+    values: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("time", "qpos", "reward", "score"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
-        for name in ("actions", "markers", "terms"):
+        for name in ("actions", "markers", "terms", "values"):
             arrays = {key: np.asarray(value, np.float64) for key, value in getattr(self, name).items()}
             object.__setattr__(self, name, arrays)
         object.__setattr__(self, "events", tuple((int(step), str(text)) for step, text in self.events))
@@ -167,6 +170,11 @@ def read(records: Iterable[Any], episode: int) -> tuple[Recording, np.ndarray, i
     return _assembled(header, xml, messages.unpack([step.data for step in steps]), told), at, count
 
 
+def step_messages(recording: Recording) -> list[bytes]:
+    """Its league.v1.Step messages, one for each control step."""
+    return messages.pack(list(_columns(recording)))
+
+
 def metadata_name(episode: int) -> str:
     """Where an episode's header stands."""
     return f"league.match.{episode}" if episode else "league.match"
@@ -181,13 +189,15 @@ def topics(episode: int) -> tuple[str, str]:
 def _assembled(
     header: RecordingHeader, xml: str, columns: Sequence[messages.Column], events: Sequence[tuple[int, str]]
 ) -> Recording:
-    values: dict[str, Any] = {"actions": {}, "markers": {}, "terms": {}}
+    found: dict[str, Any] = {"actions": {}, "markers": {}, "terms": {}, "values": {}}
     for field_name, name, numbers in columns:
-        if field_name in values and isinstance(values[field_name], dict):
-            values[field_name][name] = numbers
+        if field_name == "values":
+            found[field_name][name] = numbers[:, 0]
+        elif field_name in found and isinstance(found[field_name], dict):
+            found[field_name][name] = numbers
         else:
-            values[field_name] = numbers
-    return Recording(header, xml, **values | {"time": values["time"][:, 0]}, events=events)
+            found[field_name] = numbers
+    return Recording(header, xml, **found | {"time": found["time"][:, 0]}, events=events)
 
 
 def _write(writer: Writer, recording: Recording, where: tuple[str, str]) -> None:
@@ -200,7 +210,7 @@ def _write(writer: Writer, recording: Recording, where: tuple[str, str]) -> None
     events: dict[int, list[str]] = {}
     for step, text in recording.events:
         events.setdefault(step, []).append(text)
-    for step, message in enumerate(messages.pack(list(_columns(recording)))):
+    for step, message in enumerate(step_messages(recording)):
         at = round(step * dt * 1e9)  # ns
         writer.add_message(step_channel, at, message, at, sequence=step)
         for text in events.get(step, ()):
@@ -214,6 +224,7 @@ def _columns(recording: Recording) -> Iterator[messages.Column]:
         values = getattr(recording, what)
         named = sorted(values.items()) if isinstance(values, Mapping) else [("", values)]
         yield from ((what, name, array) for name, array in named)
+    yield from (("values", who, values[:, None]) for who, values in sorted(recording.values.items()))
 
 
 def _check(recording: Recording) -> None:
@@ -230,7 +241,12 @@ def _check(recording: Recording) -> None:
     for what in ("sides", "digests", "agents", "score"):
         if len(getattr(header, what)) != len(header.teams):
             raise ValueError(f"header.{what} has {len(getattr(header, what))} entries for {len(header.teams)} teams")
-    shapes = {"time": (recording.time, (T,)), "qpos": (recording.qpos, (T, None))}
+    if strangers := recording.values.keys() - {*header.teams, *agents}:
+        raise ValueError(f"values of {sorted(strangers)}, but the header names {[*header.teams, *agents]}")
+    shapes: dict[str, tuple[np.ndarray, tuple[int | None, ...]]] = {
+        "time": (recording.time, (T,)), "qpos": (recording.qpos, (T, None))
+    }  # fmt: skip
+    shapes |= {f"values[{name!r}]": (array, (T,)) for name, array in recording.values.items()}
     shapes |= {name: (getattr(recording, name), (T, len(header.teams))) for name in ("reward", "score")}
     for what, width in (("actions", None), ("markers", None), ("terms", len(header.teams))):
         shapes |= {f"{what}[{name!r}]": (array, (T, width)) for name, array in getattr(recording, what).items()}

@@ -98,10 +98,12 @@ class Snapshot:
     iteration: int = 0
     seconds: float = 0.0
     created: float = 0.0
+    thinned: float | None = None  # when its bytes were given up: what it has played counts, and it plays no more
 
 
-Purpose = Literal["rating", "gate", "exploit", "exhibition"]
-"""What a match was played for: the league's own rating, a sequential test, a new attacker's measure, or to be seen."""
+Purpose = Literal["rating", "gate", "exploit", "exhibition", "training"]
+"""What a match was played for: the league's own rating, a sequential test, a new attacker's measure, or to be seen;
+"training" is an episode as those who learn played it, of which `a` and `b` are the newest snapshots before it."""
 RATED: tuple[Purpose, ...] = ("rating", "gate", "exploit")
 """Those that count for ratings: their pairs were told before they began, and every game of them is kept."""
 

@@ -5,7 +5,7 @@ The functions that take a connection are steps of a transaction of their caller'
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -65,10 +65,24 @@ def touch(db: sa.Connection, leagues: Iterable[str]) -> None:
     So changes of one league happen one after another on every database, and what is numbered in them (matches) becomes
     visible in the order of its numbers. Raises UnknownName.
     """
-    c = t.leagues.c
     for league in sorted(set(leagues)):
-        if db.execute(sa.update(t.leagues).where(c.name == league).values(revision=c.revision + 1)).rowcount == 0:
-            raise UnknownName("league", league, db.scalars(sa.select(c.name)))
+        lengthen(db, league, 0)
+
+
+def lengthen(db: sa.Connection, league: str, matches: int) -> int:
+    """Touch a league whose log gets so many matches more; the number of the last then. Raises UnknownName."""
+    last = db.scalar(_LENGTHEN, {"touched": league, "more": matches})
+    if last is None:
+        raise UnknownName("league", league, db.scalars(sa.select(t.leagues.c.name)))
+    return last
+
+
+_LENGTHEN = (
+    sa.update(t.leagues)
+    .where(t.leagues.c.name == sa.bindparam("touched"))
+    .values(revision=t.leagues.c.revision + 1, matches=t.leagues.c.matches + sa.bindparam("more", type_=sa.BigInteger))
+    .returning(t.leagues.c.matches)
+)
 
 
 def add_players(db: sa.Connection, players: Sequence[Player]) -> int:
@@ -109,18 +123,21 @@ def add_checkpoints(db: sa.Connection, league: str, checkpoints: Sequence[Checkp
         c = t.checkpoints.c
         mine = (c.league == league, c.player == player)
         newest = sa.select(c.id).where(*mine).order_by(*NEWEST_CHECKPOINT).limit(keep)
-        db.execute(sa.delete(t.checkpoints).where(*mine, c.id.not_in(newest)))
+        gone = sa.delete(t.checkpoints).where(*mine, c.id.not_in(newest))
+        drop(db, db.scalars(gone.returning(c.digest)).all())
 
 
-def add_matches(db: sa.Connection, league: str, matches: Sequence[Match]) -> None:
-    """Append to the league's log, numbered on from its last match; the league has been touched."""
-    if not matches:
-        return
-    c = t.leagues.c
-    count = sa.update(t.leagues).where(c.name == league).values(matches=c.matches + len(matches))
-    last = db.execute(count.returning(c.matches)).scalar_one()
-    numbered = enumerate(matches, start=last - len(matches) + 1)
-    db.execute(sa.insert(t.matches), [row_of(match, "id", "created") | {"id": id} for id, match in numbered])
+def drop(db: sa.Connection, digests: Iterable[str]) -> None:
+    """Note blobs that a row names no more: where no other does they may go, and are nobody's loss."""
+    if found := [{"digest": digest} for digest in dict.fromkeys(digests)]:
+        db.execute(insert_or(db, t.dropped).on_conflict_do_nothing(), found)
+
+
+def add_matches(db: sa.Connection, matches: Sequence[Match], last: int) -> None:
+    """Append to a league's log; `last` is the number of the last of them: see `lengthen`."""
+    if matches:
+        numbered = enumerate(matches, start=last - len(matches) + 1)
+        db.execute(sa.insert(t.matches), [row_of(match, "id", "created") | {"id": id} for id, match in numbered])
 
 
 def add_curves(db: sa.Connection, points: Sequence[CurvePoint]) -> None:
@@ -148,6 +165,41 @@ def add_meetings(db: sa.Connection, meetings: Sequence[Meeting]) -> None:
 def add_phases(db: sa.Connection, phases: Sequence[Phase]) -> int:
     """Add those whose number their group does not have yet; how many those were."""
     return _add(db, t.phases, (row_of(p, "created") for p in phases), unique=["league", "group", "number"])
+
+
+def without_thinned(db: sa.Connection, jobs: Sequence[Job]) -> list[Job]:
+    """Those that name no thinned snapshot: who planned them did not know yet, and will plan anew.
+
+    Thinning spares whatever a waiting job names. Where both have touched the league, none ever waits in vain.
+    """
+    named = {id(job): {text for text in texts(job.payload) if _can_be_name(text)} for job in jobs}
+    c, kept = t.snapshots.c, list(jobs)
+    for league in {job.league for job in jobs}:
+        every = sorted(set().union(*(named[id(job)] for job in jobs if job.league == league)))
+        gone: set[str] = set()
+        for at in range(0, len(every), 500):
+            some = (c.league == league, c.name.in_(every[at : at + 500]), c.thinned.is_not(None))
+            gone.update(db.scalars(sa.select(c.name).where(*some)))
+        kept = [job for job in kept if job.league != league or gone.isdisjoint(named[id(job)])]
+    return kept
+
+
+def _can_be_name(text: str) -> bool:
+    """Whether every database takes it in a question: a payload may hold any text, and a name may not."""
+    return "\0" not in text and text.encode(errors="ignore").decode() == text
+
+
+def texts(value: object) -> Iterator[str]:
+    """All texts in a JSON value, keys included."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from value
+        for each in value.values():
+            yield from texts(each)
+    elif isinstance(value, list | tuple):
+        for each in value:
+            yield from texts(each)
 
 
 def add_jobs(db: sa.Connection, jobs: Sequence[Job]) -> int:

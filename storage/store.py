@@ -11,11 +11,12 @@ Every verb raises Away when the database or its disk cannot serve now; it may th
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self
 
 import sqlalchemy as sa
 
-from storage import moving, thinning
+from storage import moving, opening, thinning
 from storage import tables as t
 from storage.blobs import open_blobs
 from storage.database import Database
@@ -65,6 +66,11 @@ class Store(Leading, Players, Log, Queue):
     def now(self) -> float:
         """Seconds since the epoch on the database's clock."""
         return self._db.rows(sa.select(t.now()))[0][0]
+
+    def locked(self, seconds: float = 1.0) -> bool:
+        """Whether some process keeps all others from writing, for so long at least; a server's locks are of its own."""
+        engine = self._db.engine
+        return engine.dialect.name == "sqlite" and opening.is_locked(Path(self.where), seconds)
 
     # Moving
 

@@ -30,6 +30,23 @@ def _now_postgresql(*_: Any, **__: Any) -> str:
     return "CAST(extract(epoch from clock_timestamp()) AS double precision)"
 
 
+class unhurried(FunctionElement[Any]):  # noqa: N801
+    """In a statement's RETURNING: its transaction is not waited for until the server's disk has it."""
+
+    type = sa.String()
+    inherit_cache = True
+
+
+@compiles(unhurried, "sqlite")
+def _unhurried_sqlite(*_: Any, **__: Any) -> str:
+    return "NULL"  # there a transaction is told when it begins, see `Database.writing`
+
+
+@compiles(unhurried, "postgresql")
+def _unhurried_postgresql(*_: Any, **__: Any) -> str:
+    return "set_config('synchronous_commit', 'off', true)"
+
+
 metadata = sa.MetaData()
 
 
@@ -125,6 +142,7 @@ snapshots = sa.Table(
     *map(_count, ("step", "iteration")),
     _real("seconds"),
     _time("created"),
+    sa.Column("thinned", sa.Double),
     _of_player(),
 )
 matches = sa.Table(
@@ -193,8 +211,11 @@ jobs = sa.Table(
     _text("error", nullable=True),
     _time("created"),
     sa.UniqueConstraint("league", "key"),
-    sa.Index("jobs_to_claim", "league", "state", "priority"),
+    sa.Index("jobs_to_claim", "league", "state", "kind", sa.desc("priority"), "id"),  # the first is who is next
 )
+# Blobs that a row named and names no more, such as those of checkpoints that are no longer kept: until they are removed
+# it is known that nobody lost them. A blob that a row names is needed, whatever stands here.
+dropped = sa.Table("dropped", metadata, _text("digest", primary_key=True), _time("made"))
 workers = sa.Table(
     "workers",
     metadata,
@@ -220,12 +241,27 @@ def add_meetings(db: sa.Connection) -> None:
     meetings.create(db)
 
 
+def add_thinned_snapshots(db: sa.Connection) -> None:
+    """From schema 4 to 5: which snapshots have given up their bytes, and which blobs nobody needs. None, yet."""
+    db.execute(sa.text("ALTER TABLE snapshots ADD COLUMN thinned DOUBLE PRECISION"))
+    dropped.create(db)
+
+
+def sort_jobs_to_claim(db: sa.Connection) -> None:
+    """From schema 5 to 6: an index by which the next job of a kind is found without reading all that wait."""
+    index = next(index for index in jobs.indexes if index.name == "jobs_to_claim")
+    index.drop(db)
+    index.create(db)
+
+
 # The oldest schema that can be brought up to date. Schema 1 keyed snapshots by their bytes and leagues by their arena.
 FIRST_SCHEMA = 2
 
 # MIGRATIONS[i] takes a database from schema FIRST_SCHEMA + i to the next. A new store is made from the tables above, so
 # whoever adds a migration changes the tables to match.
-MIGRATIONS: list[Callable[[sa.Connection], None]] = [add_seconds_of_matches, add_meetings]
+MIGRATIONS: list[Callable[[sa.Connection], None]] = [
+    add_seconds_of_matches, add_meetings, add_thinned_snapshots, sort_jobs_to_claim
+]  # fmt: skip
 
 
 def newest_schema() -> int:

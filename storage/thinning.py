@@ -1,18 +1,20 @@
-"""What a store can do without: blobs that no row names, what killed processes left, and by policy old checkpoints and
-recordings. What a row still needs is never removed, nor anything that is younger than an age.
+"""What a store can do without: blobs that no row names, what killed processes left, and by policy old checkpoints,
+recordings and the bytes of snapshots. What a row still needs is never removed, nor anything younger than an age.
 
 A blob is put before the row that names it is written, so one that is young may be named in a moment. Putting bytes that
 are there already makes them young again, and what is removed is moved aside first and looked at once more: whoever puts
-the same bytes at any moment has them afterwards. Rows go before the blobs that they name; killed in between, thinning
-leaves orphans, which the next one finds.
+the same bytes at any moment has them afterwards. Rows go before the blobs that they name, which are noted as dropped
+with them; killed in between, the next thinning removes those.
 
-Snapshots stay whole: each may play again.
+A thinned snapshot keeps its row, with a mark: its matches count, and it never plays again. Never thinned are scripts,
+imports, a player's first and newest, and what a job that is still to be done names; and no job is queued that names a
+thinned one (`rows.without_thinned`).
 """
 
 import re
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
@@ -23,7 +25,7 @@ from storage.blobs import Blobs, Entry
 from storage.database import Database
 from storage.errors import Away, StorageError
 from storage.moving import BLOBS, TABLES, is_digest
-from storage.rows import NEWEST_CHECKPOINT
+from storage.rows import NEWEST_CHECKPOINT, drop, texts
 
 Tell = Callable[[str, int, int | None], None]
 """Is told how it goes on: of what, how much, and of how much."""
@@ -39,6 +41,7 @@ class Policy:
     checkpoints: Mapping[str, int]  # league -> of each of its players so many of the newest stay, 1 or more
     recordings: int | None = None  # so many of the newest of each league stay; None: all of them
     recorded_for: float | None = None  # recordings that are older, in seconds, go; None: none for their age
+    snapshots: Mapping[str, Collection[str]] = field(default_factory=dict)  # league -> those whose bytes may go
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,10 @@ class Waste:
     files: Sequence[Entry]  # of writers that were killed
     before: float  # on the disk's clock: what was put later stays
     age: float
+    snapshots: Sequence[tuple[str, str]] = ()  # league, name
 
     def __bool__(self) -> bool:
-        return any((self.checkpoints, self.recordings, self.workers, self.blobs, self.files))
+        return any((self.checkpoints, self.recordings, self.workers, self.blobs, self.files, self.snapshots))
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,7 @@ class Done:
     blobs: int
     files: int
     bytes: int
+    snapshots: int = 0
 
 
 def find(database: Database, blobs: Blobs, policy: Policy) -> Waste:
@@ -82,24 +87,32 @@ def find(database: Database, blobs: Blobs, policy: Policy) -> Waste:
             f"{database.where}: no blob that rows name is where blobs are sought: say where, by --blobs."
         )
     checkpoints, recordings = _checkpoints(database, policy), _recordings(database, policy)
-    named = _named(database, {id for id, _ in checkpoints}, {(league, id) for league, id, _ in recordings})
+    snapshots = _snapshots(database, policy)
+    named = _named(database, {id for id, _ in checkpoints}, {(league, id) for league, id, _ in recordings}, snapshots)
     c = t.workers.c
     silent = database.rows(sa.select(c.id).where(c.seen < t.now() - policy.age).order_by(c.id))
     return Waste(
         checkpoints, recordings, [id for (id,) in silent], [e for e in old if e.whole and e.name not in named],
-        [e for e in old if not e.whole], before, policy.age,
+        [e for e in old if not e.whole], before, policy.age, snapshots,
     )  # fmt: skip
 
 
 def remove(database: Database, blobs: Blobs, waste: Waste, tell: Tell = lambda *_: None) -> Done:
     """Remove what was found, less what has been put or named since. May be called again after a kill."""
     c = t.checkpoints.c
-    checkpoints = recordings = workers = 0
+    checkpoints = recordings = workers = snapshots = 0
+    for some in _batches(waste.snapshots):
+        tell("snapshots", snapshots, len(waste.snapshots))
+        for league in {league for league, _ in some}:
+            with database.changing([league]) as db:
+                snapshots += _mark(db, league, [name for of, name in some if of == league], waste.age)
     for some in _batches(waste.checkpoints):
         tell("checkpoints", checkpoints, len(waste.checkpoints))
         with database.changing(league for _, league in some) as db:
             gone = sa.delete(t.checkpoints).where(c.id.in_([id for id, _ in some]), c.id.not_in(_newest(1)))
-            checkpoints += db.execute(gone).rowcount
+            digests = db.scalars(gone.returning(c.digest)).all()
+            drop(db, digests)
+            checkpoints += len(digests)
     m = t.matches.c
     for some in _batches(waste.recordings):
         tell("recordings", recordings, len(waste.recordings))
@@ -107,6 +120,7 @@ def remove(database: Database, blobs: Blobs, waste: Waste, tell: Tell = lambda *
             for league, id, digest in some:
                 forget = sa.update(t.matches).where(m.league == league, m.id == id, m.recording == digest)
                 recordings += db.execute(forget.values(recording=None)).rowcount
+            drop(db, (digest for _, _, digest in some))
     w = t.workers.c
     for some in _batches(waste.workers):
         with database.writing() as db:
@@ -119,9 +133,40 @@ def remove(database: Database, blobs: Blobs, waste: Waste, tell: Tell = lambda *
         tell("files", done, len(entries))
         if blobs.remove(entry, waste.before):
             removed.append(entry)
+    for some in _batches([entry.name for entry in removed if entry.whole]):
+        with database.writing() as db:
+            db.execute(sa.delete(t.dropped).where(t.dropped.c.digest.in_(some)))
     whole = sum(entry.whole for entry in removed)
     size = sum(entry.bytes for entry in removed)
-    return Done(checkpoints, recordings, workers, whole, len(removed) - whole, size)
+    return Done(checkpoints, recordings, workers, whole, len(removed) - whole, size, snapshots)
+
+
+def _mark(db: sa.Connection, league: str, names: Sequence[str], age: float) -> int:
+    """Mark snapshots as thinned, those of them that may be; how many. Their league has been touched."""
+    able = sorted(_thinnable(db, league, age).intersection(names))
+    c = t.snapshots.c
+    marked = sa.update(t.snapshots).where(c.league == league, c.name.in_(able)).values(thinned=t.now())
+    digests = db.scalars(marked.returning(c.digest)).all()
+    drop(db, digests)
+    return len(digests)
+
+
+def _thinnable(db: sa.Connection, league: str, age: float) -> set[str]:
+    """The snapshots of a league that are not thinned and may be: older than `age`, trained, neither their player's
+    first nor its newest, and named by no job that is still to be done.
+    """
+    c, j = t.snapshots.c, t.jobs.c
+    rank = sa.func.row_number().over(partition_by=c.player, order_by=(c.iteration.desc(), c.name.desc()))
+    ranked = sa.select(c.name, c.player, c.initial, c.thinned, c.created, rank.label("rank")).where(c.league == league)
+    r = ranked.subquery().c
+    able = (r.rank > 1, r.player.is_not(None), r.initial.is_(False), r.thinned.is_(None), r.created < t.now() - age)
+    names = set(db.scalars(sa.select(r.name).where(*able)))
+    try:
+        for payload in db.scalars(sa.select(j.payload).where(j.league == league, j.state != "done")) if names else ():
+            names.difference_update(texts(payload))
+    except (ValueError, TypeError) as error:
+        raise StorageError(f"A job of league {league!r} is damaged, so nothing is removed: {error}.") from error
+    return names
 
 
 def _newest(keep: int, *where: Any) -> sa.Select[Any]:
@@ -142,6 +187,15 @@ def _checkpoints(database: Database, policy: Policy) -> list[tuple[int, str]]:
     return found
 
 
+def _snapshots(database: Database, policy: Policy) -> list[tuple[str, str]]:
+    found: list[tuple[str, str]] = []
+    for league, names in policy.snapshots.items():
+        with database.unchanging() as db:
+            able = _thinnable(db, league, policy.age).intersection(names)
+        found += [(league, name) for name in sorted(able)]
+    return found
+
+
 def _recordings(database: Database, policy: Policy) -> list[tuple[str, int, str]]:
     if policy.recordings is None and policy.recorded_for is None:
         return []
@@ -156,9 +210,14 @@ def _recordings(database: Database, policy: Policy) -> list[tuple[str, int, str]
     return [tuple(row) for row in database.rows(query.order_by(r.league, r.id))]
 
 
-def _named(database: Database, checkpoints: Iterable[int] = (), recordings: Iterable[tuple[str, int]] = ()) -> set[str]:
-    """The blobs that rows name, other than these rows; raises StorageError where a row's blob cannot be told."""
-    less: Mapping[str, set[Any]] = {"checkpoints": set(checkpoints), "matches": set(recordings), "snapshots": set()}
+def _named(
+    database: Database, checkpoints: Iterable[int] = (), recordings: Iterable[tuple[str, int]] = (),
+    snapshots: Iterable[tuple[str, str]] = (),
+) -> set[str]:  # fmt: skip
+    """The blobs that rows need, other than these rows; raises StorageError where a row's blob cannot be told."""
+    less: Mapping[str, set[Any]] = {
+        "checkpoints": set(checkpoints), "matches": set(recordings), "snapshots": set(snapshots),
+    }  # fmt: skip
     keys = {"checkpoints": ("id",), "matches": ("league", "id"), "snapshots": ("league", "name")}
     named: set[str] = set()
     with database.unchanging() as db:
@@ -166,6 +225,8 @@ def _named(database: Database, checkpoints: Iterable[int] = (), recordings: Iter
             table = TABLES[name]
             digest = sa.type_coerce(table.c[column], sa.types.NullType())
             query = sa.select(digest, *(table.c[key] for key in keys[name])).where(table.c[column].is_not(None))
+            if table is t.snapshots:
+                query = query.where(table.c.thinned.is_(None))
             for found, *key in db.execute(query, execution_options={"yield_per": 1000}):
                 if not (isinstance(found, str) and is_digest(found)):
                     raise _damaged(database, f"a row of {name} names no blob")

@@ -1,8 +1,9 @@
 """A whole store looked through for what is missing, orphaned or corrupt. Nothing in it is changed, however it fares.
 
 First the blobs are listed and then the rows read, all as they are at one moment: so a row that names a blob which was
-put meanwhile makes no finding, and what nobody names although it is old is an orphan. Where rows cannot be read, what
-they name is not known, and nothing is called orphaned.
+put meanwhile makes no finding, and what nobody names although it is old is an orphan, but where the store itself has
+noted that no row names it any more. Where rows cannot be read, what they name is not known, and nothing is called
+orphaned.
 """
 
 import json
@@ -40,14 +41,15 @@ def verify(
         listed = None
     engine = open_unchanged(url)
     try:
-        named = Rows(Database(engine, report.where), report, tell, bool(listed), refer).read()
+        rows = Rows(Database(engine, report.where), report, tell, bool(listed), refer)
+        named = rows.read()
     finally:
         engine.dispose()
     if listed is None and named:
         report.add("missing", "blobs", f"their folder is not there (a disk not mounted?); rows name {len(named):,}")
     elif listed is not None:
         _examine(kept, named, report, tell)
-        _orphans([entry for entry in listed if entry.put < now - age], named, report)
+        _orphans([entry for entry in listed if entry.put < now - age], named, rows.dropped, report)
     return report
 
 
@@ -79,9 +81,12 @@ def _content(data: bytes, use: Use) -> None:
         raise ValueError(f"it does not name the script {use.script!r}")
 
 
-def _orphans(old: list[Entry], named: Mapping[str, Use], report: Report) -> None:
+def _orphans(old: list[Entry], named: Mapping[str, Use], dropped: set[object], report: Report) -> None:
     for entry in old:
         if not entry.whole:
             report.add("orphaned", f"file {entry.name}", "a writer that was killed left it", entry.bytes)
+        elif entry.name in dropped and entry.name not in named:
+            report.dropped += 1
+            report.dropped_bytes += entry.bytes
         elif report.told and entry.name not in named:
             report.add("orphaned", f"blob {entry.name}", "no row names it", entry.bytes)

@@ -93,6 +93,8 @@ FOUND = {
     "a time that is none": (("payoff", "--store", "store"), "UPDATE matches SET created = 'soon'", 2),
     "a password behind no name": (("status", "--store", "//:hunter2@-1"), "", 2),
     "a password behind four slashes": (("status", "--store", "sqlite:////bob:hunter2@h/x.db"), "", 2),
+    "a password behind a folder": (("verify", "--store", "sqlite:///runs/bob:hunter2@bob:hunter2@"), "", 2),
+    "brackets that are no address": (("thin", "--blobs", "http://-1387810[[[[&-5m"), "", 2),
     "a number of more digits than Python reads": (("run", "big.toml", "--help"), "", 2),
     "an archive that begins too late": (("unpack", "late.zip", "--store", "new"), "", 2),
 }

@@ -1,33 +1,15 @@
-import os
-import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import sqlalchemy as sa
 
 from storage.places import BLOBS
 from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot
 from storage.store import Store
+from tests.conftest import SERVER, server_place
 
-SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
 KEY = ArenaKey("sumo", "c0ffee", "c")
-
-
-def server_place() -> Iterator[str]:
-    """A URL of the test server under which everything goes into a new schema, dropped at the end."""
-    if SERVER is None:
-        pytest.skip("no PostgreSQL server: LEAGUE_TEST_DB is not set")
-    schema = f"league_test_{secrets.token_hex(6)}"
-    url = sa.make_url(SERVER).set(drivername="postgresql+psycopg")
-    server = sa.create_engine(url)
-    with server.begin() as db:
-        db.execute(sa.schema.CreateSchema(schema))
-    yield url.update_query_dict({"options": f"-csearch_path={schema}"}).render_as_string(hide_password=False)
-    with server.begin() as db:
-        db.execute(sa.schema.DropSchema(schema, cascade=True))
-    server.dispose()
 
 
 @pytest.fixture(autouse=True)
@@ -44,12 +26,6 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str,
     else:
         for url in server_place():
             yield url, blobs
-
-
-@pytest.fixture
-def server_url() -> Iterator[str]:
-    """A place for a store on PostgreSQL; the test is skipped where there is none."""
-    yield from server_place()
 
 
 def fill(store: Store) -> None:

@@ -38,7 +38,8 @@ def episode(a: str, b: str, seed: int = 0) -> bytes:
 def match(seed: int, recording: str | None = None, **changes: object) -> Match:
     values = {"wins": 5, "draws": 1, "losses": 2, "voids": 1, "side_wins": 3, "side_draws": 0, "side_losses": 1}
     pairs = PairCounts(ll=1, dw=1, ww=2)
-    return Match("cup", KEY, "blue@1", "red@1", **(values | changes), pairs=pairs, seed=seed, recording=recording)  # type: ignore[arg-type]
+    sides = {"a": "blue@1", "b": "red@1"}
+    return Match("cup", KEY, **(sides | values | changes), pairs=pairs, seed=seed, recording=recording)  # type: ignore[arg-type]
 
 
 def fill(store: Store) -> None:

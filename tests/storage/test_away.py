@@ -7,12 +7,13 @@ import socket
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
 
-from storage import opening
+from storage import opening, waiting
 from storage.errors import Away, StorageError
 from storage.records import Job, League, Phase
 from storage.store import Store
@@ -238,3 +239,47 @@ def test_a_damaged_file_is_told_and_not_waited_for(tmp_path: Path):
     with pytest.raises(StorageError, match="malformed") as caught:
         Store.open(tmp_path)
     assert not isinstance(caught.value, Away)
+
+
+def test_who_waits_for_another_process_to_write_says_so_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(waiting, "SAY_SECONDS", 0.05)
+    with Store.open(tmp_path, create=True) as store:
+        fill(store)
+        other, heard = sqlite3.connect(tmp_path / "league.db", isolation_level=None), []
+        other.execute("BEGIN IMMEDIATE")
+
+        def listen(what: str) -> None:
+            heard.append(what)
+            if len(heard) == 2:
+                other.execute("ROLLBACK")
+
+        monkeypatch.setattr(waiting, "say", listen)
+        assert store.locked(0.05)
+        assert store.queue([Job("cup", "any", "late")]) == 1
+        assert heard == ["other processes have kept the store locked for 0 s"] * 2
+        assert not store.locked(0.05)
+        other.close()
+
+
+def test_who_waits_for_a_lock_on_a_server_says_so_and_goes_on(server_url: str, tmp_path: Path, monkeypatch):
+    with Store.open(server_url, create=True, blobs=str(tmp_path)) as store:
+        fill(store)
+        heard, twice = [], threading.Event()
+
+        def listen(what: str) -> None:
+            heard.append(what)
+            if len(heard) == 2:
+                twice.set()
+
+        monkeypatch.setattr(waiting, "SAY_SECONDS", 0.05)
+        monkeypatch.setattr(waiting, "say", listen)
+        monkeypatch.setattr(waiting.SERVERS, "_thread", None)  # one that looks so often
+        with store._db.engine.connect() as other, ThreadPoolExecutor(1) as pool:
+            other.execute(sa.text("SELECT name FROM leagues FOR UPDATE"))  # and then its process is stopped
+            late = pool.submit(store.queue, [Job("cup", "any", "late")])
+            assert twice.wait(60)
+            assert not late.done()
+            other.rollback()
+            assert late.result(60) == 1
+        assert set(heard[:2]) == {"the server has not answered for 0 s; does another process keep a lock?"}
+        assert not waiting.SERVERS._since

@@ -40,9 +40,10 @@ def test_a_key_is_queued_once(store: Store):
     assert [j.key for j in store.jobs("cup", state="queued")] == ["b", "c"]
 
 
-def test_claims_go_by_priority_then_preference_then_age(store: Store):
-    store.queue([job("old"), job("warm:1"), job("urgent", priority=5), job("warm:2"), job("other", kind="train")])
-    assert [take(store, prefer=["warm:", "none"])[1].key for _ in range(4)] == ["urgent", "warm:1", "warm:2", "old"]
+def test_claims_go_by_priority_then_age(store: Store):
+    store.queue([job("old"), job("new"), job("urgent", priority=5), job("least", priority=-1)])
+    store.queue([job("other", kind="train", priority=-2)])
+    assert [take(store)[1].key for _ in range(4)] == ["urgent", "old", "new", "least"]
     assert store.claim("cup", ["match"], "me", 60) is None
     assert store.claim("cup", [], "me", 60) is None
     claimed = store.claim("cup", ["match", "train"], "me", 60)

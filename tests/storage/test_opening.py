@@ -142,11 +142,12 @@ def test_a_full_disk_is_one_line_and_writes_nothing(tmp_path: Path):
 
 def test_a_newer_store_is_refused_and_both_schemas_named(place: tuple[str, str], monkeypatch: pytest.MonkeyPatch):
     where, blobs = place
-    monkeypatch.setattr(tables, "MIGRATIONS", [print] * 6)
+    monkeypatch.setattr(tables, "MIGRATIONS", [print] * 7)
     Store.open(where, create=True, blobs=blobs).close()
     monkeypatch.undo()
     for create in (False, True):
-        with pytest.raises(NewerStore, match="has schema 8, but this program knows only up to 4: update"):
+        known = tables.newest_schema()
+        with pytest.raises(NewerStore, match=f"has schema 9, but this program knows only up to {known}: update"):
             Store.open(where, create=create, blobs=blobs)
 
 
@@ -173,10 +174,15 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
             for column in ("seconds", "due"):
                 db.execute(sa.text(f"ALTER TABLE matches DROP COLUMN {column}"))
             db.execute(sa.text("DROP TABLE meetings"))
+            db.execute(sa.text("DROP TABLE dropped"))
+            db.execute(sa.text("ALTER TABLE snapshots DROP COLUMN thinned"))
+            db.execute(sa.text("DROP INDEX jobs_to_claim"))
+            db.execute(sa.text("CREATE INDEX jobs_to_claim ON jobs (league, state, priority)"))
             db.execute(sa.update(tables.changes).values(schema=2))
     copy = tmp_path / "store" / "league.db.schema-2"
     if "://" in where:  # what is on a server is brought up to date by those who ask for it
-        with pytest.raises(OutdatedStore, match=r"has schema 2, and this program's is 4: .*`league migrate`") as caught:
+        says = rf"has schema 2, and this program's is {tables.newest_schema()}: .*`league migrate`"
+        with pytest.raises(OutdatedStore, match=says) as caught:
             Store.open(where, blobs=blobs, create=True)
         assert "\n" not in str(caught.value)
     with Store.open(where, blobs=blobs, migrate=True) as store:
@@ -184,6 +190,9 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
         assert [(m.seed, m.seconds, m.due) for m in store.matches("cup")] == [(1, 0.0, None), (2, 1.5, 7.25)]
         assert store.booked("cup") == (1.5, 7.25)
         assert store.meetings("cup") == []
+        assert {s.thinned for s in store.snapshots("cup")} == {None}
+        indexes = {index["name"]: index["column_names"] for index in sa.inspect(store._db.engine).get_indexes("jobs")}
+        assert indexes["jobs_to_claim"] == ["league", "state", "kind", "priority", "id"]
     if "://" not in where:
         assert are_apart(blobs, database_url(where))
         db = sqlite3.connect(copy)
@@ -208,7 +217,7 @@ def fill_notes(db: sa.Connection) -> None:
 def test_each_migration_is_whole_recorded_and_made_once(place: tuple[str, str], monkeypatch: pytest.MonkeyPatch):
     where, blobs = place
     Store.open(where, create=True, blobs=blobs).close()
-    made_so_far = tables.MIGRATIONS
+    made_so_far, today = tables.MIGRATIONS, tables.newest_schema()
     monkeypatch.setattr(tables, "MIGRATIONS", [*made_so_far, add_notes, fill_notes_and_fail])
     with pytest.raises(StorageError, match="nowhere"):
         Store.open(where, blobs=blobs, migrate=True)
@@ -217,18 +226,21 @@ def test_each_migration_is_whole_recorded_and_made_once(place: tuple[str, str], 
         with Store.open(where, blobs=blobs, migrate=True) as store, store._db.engine.connect() as db:
             made = db.execute(sa.select(tables.changes.c.schema, tables.changes.c.change)).all()
             notes = db.execute(sa.text("SELECT body FROM notes")).all()
-        assert sorted(map(tuple, made)) == [(4, "created"), (5, "add_notes"), (6, "fill_notes")]
+        assert sorted(map(tuple, made)) == [
+            (today, "created"), (today + 1, "add_notes"), (today + 2, "fill_notes")
+        ]  # fmt: skip
         assert notes == [("whole",)]
 
 
 def test_a_store_that_cannot_be_copied_is_not_brought_up_to_date(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     Store.open(tmp_path, create=True).close()
     monkeypatch.setattr(tables, "MIGRATIONS", [*tables.MIGRATIONS, add_notes])
-    (tmp_path / "league.db.schema-4").mkdir()
+    copy = tmp_path / f"league.db.schema-{tables.newest_schema() - 1}"
+    copy.mkdir()
     with pytest.raises(StorageError, match=r"could not be copied before .* and stays") as caught:
         Store.open(tmp_path)
     assert "\n" not in str(caught.value)
-    (tmp_path / "league.db.schema-4").rmdir()
+    copy.rmdir()
     monkeypatch.undo()
     Store.open(tmp_path).close()  # it is what it was
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith((".league", "league.db.schema"))]

@@ -6,50 +6,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from storage.recording import Recording, RecordingError, RecordingHeader, from_bytes, to_bytes
-from storage.records import ArenaKey
-
-HEADER = RecordingHeader(
-    league="demo",
-    match=7,
-    seed=2**63 + 1,
-    world=3,
-    arena=ArenaKey("sumo", "c0ffee", "warp"),
-    sides=("blue@16", "red@8"),
-    digests=("ab" * 32, "cd" * 32),
-    teams=("blue", "red"),
-    agents=(("blue/0", "blue/1"), ("red/0",)),
-    score=(1.0, 0.0),
-    outcome="win blue",
-    dt=0.02,
-    marker_kinds={"ring": "circle"},
-    versions={"mujoco": "3.17.0", "jax": "0.11"},
-    created=1.7e9 + 0.123456789,
-)
-
-
-def recording(steps=40, **changes):
-    """Every array holds awkward values: irrational, negative zero, infinities, NaN, denormals."""
-    rng = np.random.default_rng(0)
-    qpos = rng.standard_normal((steps, 14))
-    qpos[0, :5] = [-0.0, np.inf, -np.inf, np.nan, 5e-324]
-    values = dict(
-        header=HEADER,
-        xml="<mujoco model='é'/>",
-        time=np.arange(1, steps + 1) * 0.02,
-        qpos=qpos,
-        actions={
-            "red/0": rng.standard_normal((steps, 2)),
-            "blue/0": rng.standard_normal((steps, 3)).astype(np.float32),
-            "blue/1": rng.standard_normal((steps, 1)),
-        },
-        reward=rng.standard_normal((steps, 2)),
-        score=np.cumsum(rng.integers(0, 2, (steps, 2)), axis=0),
-        markers={"ring": np.stack([np.zeros(steps), np.zeros(steps), np.linspace(2, 1, steps)], 1)},
-        events=[(5, "red/0 leaves the ring"), (5, "win blue"), (39, "ende ✓")],
-        terms={"win": rng.standard_normal((steps, 2)), "effort": np.full((steps, 2), -0.0)},
-    )
-    return Recording(**(values | changes))
+from storage.recording import RecordingError, from_bytes, to_bytes
+from tests.storage.recordings import HEADER, recording
 
 
 def test_what_is_read_is_what_was_written_bit_for_bit():
@@ -61,7 +19,7 @@ def test_what_is_read_is_what_was_written_bit_for_bit():
     for name in ("time", "qpos", "reward", "score"):
         assert getattr(read, name).tobytes() == getattr(written, name).tobytes(), name
         assert getattr(read, name).shape == getattr(written, name).shape, name
-    for name in ("actions", "markers", "terms"):
+    for name in ("actions", "markers", "terms", "values"):
         arrays = getattr(written, name)
         assert set(getattr(read, name)) == set(arrays)
         for key, array in arrays.items():
@@ -89,7 +47,7 @@ def test_an_arena_of_one_team_and_no_bodies_is_recorded_too():
     written = recording(
         **{"header": one, "xml": "", "qpos": np.zeros((40, 0)), "reward": np.zeros((40, 1)), "score": np.ones((40, 1))},
         **{"actions": {"blue/0": np.ones((40, 3)), "blue/1": np.zeros((40, 0))}, "markers": {}},
-        **{"events": [], "terms": {}},
+        **{"events": [], "terms": {}, "values": {}},
     )
     read = from_bytes(to_bytes(written))
     assert (read.header, read.xml, read.events) == (one, "", ())
@@ -106,8 +64,11 @@ def test_a_changed_value_changes_the_bytes():
     assert to_bytes(recording(terms=recording().terms | {"effort": effort})) != to_bytes(recording())
 
 
-def test_a_match_whose_rewards_have_no_named_terms_comes_back_without():
-    assert from_bytes(to_bytes(recording(terms={}))).terms == {}
+def test_a_match_whose_rewards_have_no_named_terms_and_that_no_critic_saw_comes_back_without():
+    plain = to_bytes(recording(terms={}, values={}))
+    assert from_bytes(plain).terms == from_bytes(plain).values == {}
+    reader = make_reader(io.BytesIO(plain), decoder_factories=[DecoderFactory()])
+    assert not any(step.decoded_message.values for step in reader.iter_decoded_messages(topics="/match/step"))
 
 
 def test_every_damaged_byte_is_noticed():
@@ -149,6 +110,9 @@ def test_other_mcap_tools_read_the_file():
     assert list(steps[7].decoded_message.qpos) == recording().qpos[7].tolist()
     assert [term.name for term in steps[7].decoded_message.terms] == ["effort", "win"]
     assert list(steps[7].decoded_message.terms[1].values) == recording().terms["win"][7].tolist()
+    assert {v.name: list(v.values) for v in steps[7].decoded_message.values} == {
+        who: [values[7]] for who, values in recording().values.items()
+    }
     assert [(e.message.log_time, e.decoded_message.text) for e in events] == [
         (100_000_000, "red/0 leaves the ring"),
         (100_000_000, "win blue"),
@@ -165,6 +129,8 @@ def test_other_mcap_tools_read_the_file():
         ({"actions": {"blue/0": np.zeros((40, 3))}}, r"the header names \['blue/0', 'blue/1', 'red/0'\]"),
         ({"markers": {}}, "ring"),
         ({"terms": {"win": np.zeros((40, 3))}}, r"terms\['win'\] has shape \(40, 3\), expected \(40, 2\)"),
+        ({"values": {"blue": np.zeros((40, 1))}}, r"values\['blue'\] has shape \(40, 1\), expected \(40,\)"),
+        ({"values": {"green": np.zeros(40)}}, r"values of \['green'\], but the header names \['blue', 'red', 'blue/0'"),
         ({"events": [(40, "too late")]}, "'too late' at step 40 of 40"),
         ({"header": dataclasses.replace(HEADER, score=(1.0,))}, "score has 1 entries for 2 teams"),
         ({"time": np.zeros(0)}, "at least one step"),

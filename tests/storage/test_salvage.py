@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from storage.recording import RecordingError, from_bytes, headers, to_bytes
 from storage.salvage import salvage
-from tests.storage.test_recording import HEADER, recording
+from tests.storage.recordings import HEADER, recording
 
 STEPS = 900
 

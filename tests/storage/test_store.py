@@ -123,7 +123,7 @@ def test_counts_are_those_of_what_there_is(store: Store):
     assert store.last_match("cup") == len(store.matches("cup")) == 2
     assert store.job_counts("cup") == {"done": 1, "queued": 1}
     assert [job.state for job in store.jobs("cup", ("queued", "done"))] == ["done", "queued"]
-    assert store.snapshot_count("cup") == len(store.snapshots("cup")) == 2
+    assert store.snapshot_count("cup") == (len(store.snapshots("cup")), 0) == (2, 0)
 
 
 def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):

@@ -3,6 +3,7 @@
 import multiprocessing
 import shutil
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ import sqlalchemy as sa
 from storage import tables as t
 from storage.blobs import Entry, open_blobs
 from storage.errors import StorageError
-from storage.records import Checkpoint, Job
+from storage.records import Checkpoint, Job, Snapshot
 from storage.store import Store
 from storage.thinning import Done, Policy
 from storage.verifying import verify
@@ -37,7 +38,7 @@ def age(folder: Path) -> None:
         change(folder, f"UPDATE {table} SET {column} = {column} - {2 * DAY}")
 
 
-def policy(keep: int = 8, **more: float | int) -> Policy:
+def policy(keep: int = 8, **more: object) -> Policy:
     return Policy(DAY, {"cup": keep}, **more)  # type: ignore[arg-type]
 
 
@@ -241,6 +242,77 @@ def test_several_that_thin_at_once_do_it_once(folder: Path):
     with Store.open(folder) as store:
         assert len(store.checkpoints("cup")) == 2
         assert [m.recording for m in store.matches("cup")] == [None] * 3
+
+
+def test_a_thinned_snapshot_keeps_its_row_and_what_it_has_played(folder: Path):
+    many(folder)
+    with Store.open(folder) as store:
+        before, log = store.snapshots("cup"), store.totals("cup", "rating")
+        revision = store.revision("cup")
+        every = policy(snapshots={"cup": {s.name for s in before}})
+        done = store.thin(store.waste(every))
+        assert (done.snapshots, done.blobs) == (3, 3)  # blue@1, blue@2, red@1: neither first, newest nor a script
+        assert store.snapshot_count("cup") == (len(before), 3)
+        assert store.revision("cup") > revision  # a plan that runs looks again
+        after = store.snapshots("cup")
+        thinned = [s for s in after if s.thinned is not None]
+        assert [s.name for s in thinned] == ["blue@1", "red@1", "blue@2"]
+        assert [replace(s, thinned=None) for s in after] == before
+        assert store.totals("cup", "rating") == log
+        for s in after:
+            assert store.blobs.has(s.digest) == (s.thinned is None)
+        assert not store.waste(every)
+    assert verify(str(folder), age=0).findings == []
+
+
+def test_what_a_waiting_job_names_is_not_thinned_and_no_job_is_queued_that_names_a_thinned_one(folder: Path):
+    many(folder)
+    every = policy(snapshots={"cup": {"blue@1", "blue@2", "red@1"}})
+    waiting = Job("cup", "match", "batch", {"pairs": [["blue@1", "idle"]]})
+    with Store.open(folder) as store:
+        found = store.waste(every)
+        store.queue([waiting])  # between finding and removing
+        store.queue([Job("cup", "fails", "set aside", {"past": {"red@1": 1}})])
+        lease, _ = store.claim("cup", ["fails"], "w:1:1", 60) or (None, None)
+        assert lease is not None
+        assert store.fail(lease, "no", tries=1)
+        assert len(found.snapshots) == 3
+        assert store.thin(found).snapshots == 1
+        assert [s.name for s in store.snapshots("cup") if s.thinned is not None] == ["blue@2"]
+        gone, fine = (Job("cup", "match", key, {"pairs": [[key, "idle"]]}) for key in ("blue@2", "blue@4"))
+        assert store.queue([gone, fine]) == 1
+        assert [job.key for job in store.jobs("cup", "queued", "match")] == ["batch", "blue@4"]
+
+
+def test_a_young_snapshot_is_not_thinned(folder: Path):
+    many(folder)
+    change(folder, f"UPDATE snapshots SET created = created + {2 * DAY} WHERE name = 'blue@2'")
+    assert thin(folder, policy(snapshots={"cup": {"blue@1", "blue@2"}})).snapshots == 1
+
+
+def test_bytes_that_another_snapshot_needs_stay(folder: Path):
+    many(folder)
+    with Store.open(folder) as store:
+        first = next(s for s in store.snapshots("cup") if s.name == "blue@1")
+        store.add_snapshots([replace(first, name="copy", player=None, origin="imported")])
+        done = store.thin(store.waste(policy(snapshots={"cup": {"blue@1", "copy"}})))
+        assert (done.snapshots, done.blobs) == (1, 0)
+        assert store.blobs.has(first.digest)
+
+
+def many(folder: Path) -> None:
+    """Give blue and red a history, of two days ago, with matches."""
+    with Store.open(folder) as store:
+        put = store.blobs.put
+        store.add_snapshots([
+            Snapshot("cup", f"{name}@{i}", put(sound.policy(50 + i + 10 * team)), "ant:3:2", name, iteration=i)
+            for team, name in enumerate(("blue", "red"))
+            for i in ((2, 4) if name == "blue" else (2,))
+        ])  # fmt: skip
+        finish_a_job(store, matches=[sound.match(9, a="blue@2")])
+        change(folder, "DELETE FROM workers")
+    age(folder)
+    change(folder, f"UPDATE snapshots SET created = created - {2 * DAY}")
 
 
 def test_every_database_is_thinned_alike(place: tuple[str, str]):
