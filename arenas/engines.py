@@ -15,6 +15,7 @@ import os
 import jax
 import mujoco
 
+from arenas.cores import cores
 from arenas.errors import EngineError
 from arenas.geometry import refuse
 from arenas.native import CEngine
@@ -47,9 +48,8 @@ def _xla_threads() -> int:
     them at once, and on two threads they wait for each other: 500 worlds of two rovers hung in all of three runs. With
     one thread, which does the work itself, and with four they ended.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get("NPROC", "")
-    return int(asked) if asked.isdigit() and int(asked) else cores
+    return int(asked) if asked.isdigit() and int(asked) else cores()
 
 
 def make_engine(

@@ -13,6 +13,7 @@ from jax import Array
 from jax.experimental.buffer_callback import buffer_callback
 from mujoco.batch import Batch, SimulationError
 
+from arenas.cores import cores
 from arenas.physics import DYNAMICS, Engine, Law, Moved, Physics, f32
 
 STATE = ("qpos", "qvel", "qacc_warmstart", "act", "ctrl")  # all of a simulation that outlives a call
@@ -84,7 +85,7 @@ class CEngine(Engine):
         """As many simulations as there are worlds in the state, and the state in them."""
         key = (state["qpos"].size // self.model.nq, *model)
         if key not in self._rows:
-            self._rows[key] = Rows(Batch(self.model, key[0], self._threads), tuple(model))
+            self._rows[key] = Rows(Batch(self.model, key[0], self._threads or cores()), tuple(model))
         rows = self._rows[key]
         for values, own in ((state, rows.state), (model, rows.model)):
             for name, value in values.items():

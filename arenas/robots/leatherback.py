@@ -82,18 +82,20 @@ def leatherback(
     return replace(_BODY, command=command, action_parts=acts)
 
 
-def drive_towards(position: Array, speed: Array, last_throttle: Array) -> Array:
+def drive_towards(position: Array, speed: Array, last_throttle: Array, backwards: Array | bool = True) -> Array:
     """Throttle and steering that bring a rover to a position (2,) in its heading frame, in reverse if it lies behind.
+
+    Where `backwards` is false it turns round to what lies behind, and is there with its nose first.
 
     In reverse, the angle that brings the rear onto a position has the sign of the angle that brings the nose onto its
     mirror image in front. A rover only circles round what lies inside its turning circle: it first draws away with the
     wheels turned the other way, as in a three-point turn, until the position is well outside the circle.
     """
     x, y = position
-    towards = jnp.where(x > -0.3 * jnp.linalg.norm(position), 1.0, -1.0)
+    towards = jnp.where((x > -0.3 * jnp.linalg.norm(position)) | jnp.logical_not(backwards), 1.0, -1.0)
     circle = jnp.where(last_throttle * towards < 0, 0.8, 0.5)  # m, its radius; larger while drawing away
     away = jnp.where(jnp.hypot(x, jnp.abs(y) - circle) < circle, -1.0, 1.0)
-    steering = jnp.clip(2.0 * jnp.arctan2(y, jnp.abs(x)), -1.0, 1.0)
+    steering = jnp.clip(2.0 * jnp.arctan2(y, jnp.where(backwards, jnp.abs(x), x)), -1.0, 1.0)
     return jnp.stack([away * towards * speed, away * steering])
 
 

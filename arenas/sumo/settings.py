@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 CONTROL = 0.02  # s, a control step
 TIMESTEP = CONTROL / 3
 """Seconds of physics where ANYmals may play; HARL-A has 0.005. A GPU makes a quarter more control steps so, and each of
-them ends 0.4 mm and 0.04 rad of a joint from where one of 0.001 s does, instead of 0.3 and 0.025 (docs/results.md)."""
+them ends 0.4 mm and 0.04 rad of a joint from where one of 0.001 s does, instead of 0.3 and 0.025 (docs/speed.md)."""
 NEAREST, FARTHEST = 0.35, 0.75  # where robots start on a diameter, as shares of the ring's radius
 WOBBLE = 0.25  # rad by which a team may stand off the diameter
 PITCH = 0.5  # m between the points of the lattice

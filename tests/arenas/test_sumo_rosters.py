@@ -29,6 +29,7 @@ def uneven():
     return replace(UNEVEN, observation="rich", rules=rules, reward=SumoReward()).build(engine="c")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observation", ["rich", "slots"])
 def test_one_against_three_of_other_kinds_keeps_the_contract(observation):
     settings = replace(UNEVEN, observation=observation)
