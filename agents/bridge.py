@@ -16,7 +16,7 @@ from torch import Tensor
 
 from agents.batch import Batch, Side
 from agents.policy import Params
-from agents.rollout import Trajectory
+from agents.rollout import Seen, Trajectory
 from arenas.state import TeamSpec
 
 Recalled = Sequence[Tensor]  # (N, units) of each recurrent critic of a team: what it remembers of N worlds
@@ -82,6 +82,24 @@ def team_batch(
         *_past(trajectory, team, worlds),
         [memory[worlds] for memory in recalled],
     )
+
+
+def unlearnt(seen: Seen, teams: Sequence[TeamSpec], recurrent: bool) -> Trajectory:
+    """What critics see of whole episodes, as a trajectory to judge and not to learn from: it says nothing of rewards.
+
+    With `recurrent` all that they remember begins with its first decision.
+    """
+    alive = next(iter(seen.alive.values()))
+    T, N = alive.shape
+    none, no = jnp.zeros((T, N, len(teams))), jnp.zeros((T, N), bool)
+    agents = [agent for team in teams for agent in team.agents]
+    idle = {agent.name: jnp.zeros((T, N, agent.action_size)) for agent in agents}
+    nothing = {agent.name: jnp.zeros((T, N)) for agent in agents}
+    return Trajectory(
+        seen.observations, seen.observations, idle, nothing, seen.alive, seen.alive, none, none, none, no, no, no,
+        none.astype(bool), no, jnp.broadcast_to(jnp.arange(1, T + 1)[:, None], (T, N)), seen.whole * 2,
+        {agent.name: jnp.zeros((1, N, 1)) for agent in agents} if recurrent else None,
+    )  # fmt: skip
 
 
 def _past(

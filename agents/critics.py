@@ -45,6 +45,13 @@ class CriticLearner:
         seen, old, values, _, R, valid = map(torch.cat, held)
         return Critique(seen, old, values, own.advantages, R, valid)
 
+    @torch.no_grad()
+    def values(self, batch: Batch) -> Tensor:
+        """(T, N) What it holds the states to be worth in which a clean batch's decisions were made, as rewards are."""
+        side = sides(batch, self.agents, self.config.critic_input == "all")[0]
+        known = self.network(side.seen) if self.config.sequence is None else self._along(batch, side)[0]
+        return self._denormalise(known)
+
     def _of_side(self, batch: Batch, side: Side) -> Critique:
         c = self.config
         if c.sequence is None:

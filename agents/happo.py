@@ -152,15 +152,29 @@ class Learner:
             critic.update(critique, self._decay(), self.dice, run)
         return self._read({})
 
+    def values(self, batch: Batch) -> list[Tensor]:
+        """What each critic holds the states to be worth in which the decisions were made, (T, N) in units of reward.
+
+        Nothing is learnt, and no dice are thrown.
+        """
+        with products(self.config.precision):
+            batch = clean(self._recalling(batch))
+            return [critic.values(batch) for critic in self.critic_learners]
+
+    def _recalling(self, batch: Batch) -> Batch:
+        """The batch with critics that remember nothing, where they could and it does not say what."""
+        if self.config.sequence is None or batch.recalled:
+            return batch
+        fresh = batch.rewards.new_zeros(batch.rewards.shape[1], self.config.architecture.recurrent)
+        return batch._replace(recalled=[fresh] * len(self.critic_learners))
+
     def _begin(self, batch: Batch, run: Run) -> tuple[Batch, bool]:
         """The batch with zeros where it means nothing, and whether any decision is known; throws the dice anew.
 
         Raises Diverged where it holds what no update can learn from; nothing has changed by then.
         """
         self.remembered, agents = (), range(len(batch.actions))
-        if self.config.sequence is not None and not batch.recalled:
-            fresh = batch.rewards.new_zeros(batch.rewards.shape[1], self.config.architecture.recurrent)
-            batch = batch._replace(recalled=[fresh] * len(self.critic_learners))
+        batch = self._recalling(batch)
         held = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
         batch, found = run(_cleaned, batch)
         known, *bad = self.together.any(found).tolist()

@@ -55,6 +55,14 @@ class Trajectory(NamedTuple):
     memories: Memory | None = None  # (T / chunk, N, units) before the first decision of each chunk, if asked for
 
 
+class Seen(NamedTuple):
+    """What critics judge by, of the recorded worlds R before each decision."""
+
+    observations: dict[str, Array]  # (T, R, obs)
+    alive: dict[str, Array]  # (T, R) bool
+    whole: tuple[Array, ...]  # one, (T, R, privileged_size), of an arena that offers its whole state; else none
+
+
 class Games(NamedTuple):
     """How one episode in each of N worlds ended, and what the recorded worlds R looked like."""
 
@@ -66,6 +74,7 @@ class Games(NamedTuple):
     actions: dict[str, Array]  # (T, R, act)
     reward: Array  # (T, R, teams)
     running: Array  # (T, R) bool: the episode was still on before this decision
+    seen: Seen | None = None  # where it was asked for
 
 
 Act = Callable[
@@ -166,14 +175,22 @@ def remembering(worlds: Worlds, crews: Mapping[str, Crew]) -> Worlds:
     return worlds._replace(memory=_fitted(worlds.memory, crews, worlds.age.shape[0]))
 
 
-def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrapped:
+def make_play(
+    arena: Arena, recorded: tuple[int, ...] = (), seen: bool = False, privileged: bool = False
+) -> jax.stages.Wrapped:  # fmt: skip
     """Compile a match: `play(crews, keys (N,)) -> Games`, one whole episode in every world.
 
     Every world plays exactly one episode, so that short episodes do not count more often than long ones. A world's key
-    fixes its start and its dice; worlds with equal keys are a seed pair. `recorded` are the worlds to keep frames of.
+    fixes its start and its dice; worlds with equal keys are a seed pair. `recorded` are the worlds to keep frames of,
+    and with `seen` what critics see of them; with `privileged` that is the whole state, of an arena that offers it.
     """
-    decide = _make_act(arena)
+    decide, whole = _make_act(arena), jax.vmap(arena.whole)
     kept = jnp.asarray(recorded, jnp.int32)
+
+    def sight(state: State) -> Seen:
+        state = jax.tree.map(lambda x: x[kept], state)
+        alive = {agent.name: state.alive[:, i] for i, agent in enumerate(arena.agents)}
+        return Seen(state.observations, alive, (whole(state),) if privileged else ())
 
     def play(crews: Mapping[str, Crew], keys: Array) -> Games:
         start, dice = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 2))(keys), 1, 0)
@@ -188,15 +205,16 @@ def make_play(arena: Arena, recorded: tuple[int, ...] = ()) -> jax.stages.Wrappe
                 {name: a[kept] for name, a in actions.items()},
                 after.verdict.reward[kept],
                 ~state.done[kept],
+                sight(state) if seen else None,
             )
             return (after, memory), (watched, ~state.done)
 
         state = jax.vmap(arena.reset)(start)
-        (state, _), ((frames, actions, reward, running), on) = jax.lax.scan(
+        (state, _), ((frames, actions, reward, running, seen_by), on) = jax.lax.scan(
             decision, (state, _fitted(None, crews, keys.shape[0])), jnp.arange(arena.timing.decisions)
         )
         return Games(
-            state.verdict.score, state.void, state.culprits, on.sum(axis=0), frames, actions, reward, running
+            state.verdict.score, state.void, state.culprits, on.sum(axis=0), frames, actions, reward, running, seen_by
         )  # fmt: skip
 
     return _compiled(play)

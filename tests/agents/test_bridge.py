@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agents.bridge import common_order, common_size, team_batch
-from agents.rollout import Trajectory
+from agents.bridge import common_order, common_size, team_batch, unlearnt
+from agents.rollout import Seen, Trajectory
 from arenas.state import AgentSpec, TeamSpec
 
 T, N = 3, 5
@@ -110,6 +110,26 @@ def test_a_common_critic_learns_from_every_team_by_its_own_rewards_and_is_told_w
             np.testing.assert_array_equal(found.cpu(), np.concatenate([*seen, *agents], -1))
     assert batch.sides[0].terminated.any() and not batch.sides[0].void.any()  # noqa: PT018  (who breaks it has lost)
     assert batch.sides[1].void.any()
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_what_is_judged_is_seen_as_what_is_learnt_from(trajectory, index):
+    """Also where some are out of the game, and of others, of the whole state and of what is common to all."""
+    teams, whole = (BLUE, RED), tuple(encoded(field, 0, 4) for field in (8, 9))
+    judged = unlearnt(Seen(trajectory.observations, trajectory.alive, whole[:1]), teams, recurrent=True)
+    for more in ({"others": [teams[1 - index]]}, {"privileged": True}, {"common": teams}):
+        found, learnt = (
+            team_batch(each, teams[index], index, slice(None), shaping=0.5, **more)
+            for each in (judged, trajectory._replace(whole=whole))
+        )
+        for name in ("observations", "alive", "others", "others_alive"):
+            for x, y in zip(getattr(found, name), getattr(learnt, name), strict=True):
+                np.testing.assert_array_equal(x.cpu(), y.cpu())
+        for x, y in zip(found.sides, learnt.sides, strict=True):
+            np.testing.assert_array_equal(x.seen.cpu(), y.seen.cpu())
+        assert found.first[0][0].all()
+        assert not found.first[0][1:].any()
+        assert not found.void.any()
 
 
 def test_teams_of_one_roster_see_themselves_in_one_place():

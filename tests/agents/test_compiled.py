@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from agents.happo import Learner
-from tests.agents.test_graphs import VARIANTS, experienced
-from tests.agents.variants import BASE, SIGHT
+from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
 HERE = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))]
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of torch.compile itself
@@ -30,7 +29,7 @@ def assert_alike(variant: dict[str, Any], device: str, experience, rounding: flo
         np.testing.assert_allclose(array, theirs[name], rtol=rounding, atol=rounding, err_msg=name)
 
 
-@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS)
+@pytest.mark.parametrize("variant", EVERY_UPDATE.values(), ids=EVERY_UPDATE)
 def test_every_variant_is_one_graph(variant: dict, experience, monkeypatch):
     """Without the compiler itself, which takes a minute for all of them."""
     monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="aot_eager"))
@@ -40,4 +39,4 @@ def test_every_variant_is_one_graph(variant: dict, experience, monkeypatch):
 @pytest.mark.parametrize("device", HERE)
 @pytest.mark.parametrize("name", ["happo", "paper"])
 def test_a_compiled_update_is_an_update(name: str, device: str, experience):
-    assert_alike(VARIANTS[name], device, experience, 1e-4)
+    assert_alike(EVERY_UPDATE[name], device, experience, 1e-4)

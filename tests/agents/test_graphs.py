@@ -1,95 +1,18 @@
-"""Replaying an update is updating: on a GPU by CUDA graphs, and here by a recorder that promises as little as they do.
+"""Replaying an update is updating: on a GPU by CUDA graphs, and here by the recorder of kernels.py."""
 
-The recorder writes down every kernel with the very tensors that it reads and writes, and the numbers that it was given;
-a replay launches them again. What reads a number back, or copies one to the device, is refused, as CUDA refuses it.
-"""
-
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch.overrides import TorchFunctionMode
-from torch.utils import _pytree as pytree
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from agents import graphs
-from agents.batch import Batch
 from agents.happo import Learner
-from agents.settings import Architecture
-from tests.agents import variants
-from tests.agents.variants import BASE, RECURRENT, SIDES, SIGHT, with_sides
+from tests.agents.kernels import record
+from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
-VARIANTS = variants.VARIANTS | {
-    "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
-    "bf16": {"precision": "bf16"},
-    "recurrent, shared": {
-        "architecture": Architecture((6,), "elu", True, recurrent=5), "chunk": 2, "share_actors": True
-    },
-    "recurrent bf16": RECURRENT | {"precision": "bf16"},
-    "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
-}  # fmt: skip
-ASKS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal")
 on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-
-
-class Recorder(TorchDispatchMode):
-    """Runs kernels and writes them down; `replay` runs them once more, the first time excepted: they have just run."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.kernels: list[tuple[Any, tuple, dict, list[torch.Tensor]]] = []
-        self.fresh = True
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
-        name = func._schema.name.removeprefix("aten::")
-        if name.startswith(ASKS) or (name.startswith("index") and _by_mask(args)):
-            raise RuntimeError(f"{name} waits for the device")
-        result = func(*args, **(kwargs or {}))
-        if not func.is_view:
-            self.kernels.append((func, args, kwargs or {}, fresh(func, result)))
-        return result
-
-    @torch.no_grad()
-    def replay(self) -> None:
-        if self.fresh:
-            self.fresh = False
-            return
-        for func, args, kwargs, own in self.kernels:
-            for kept, new in zip(own, fresh(func, func(*args, **kwargs)), strict=True):
-                kept.copy_(new)
-
-
-def fresh(func: Any, result: Any) -> list[torch.Tensor]:
-    """The tensors that a kernel has made, not those that it was given."""
-    returns = func._schema.returns
-    each = zip(result if len(returns) > 1 else [result], returns, strict=True) if returns else ()
-    leaves = [x for made, about in each if about.alias_info is None for x in pytree.tree_leaves(made)]
-    return [x for x in leaves if isinstance(x, torch.Tensor)]
-
-
-def _by_mask(args: tuple) -> bool:
-    return any(isinstance(x, torch.Tensor) and x.dtype == torch.bool for x in pytree.tree_leaves(args[1:2]))
-
-
-class NoNumbers(TorchFunctionMode):
-    """Refuses what would copy numbers of the host to the device."""
-
-    def __torch_function__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
-        made = func in (torch.tensor, torch.as_tensor, torch.from_numpy)
-        if made or (func in (torch.where, torch.Tensor.where) and any(isinstance(x, (int, float)) for x in args)):
-            raise RuntimeError(f"{func.__name__} waits for the device")
-        return func(*args, **(kwargs or {}))
-
-
-def record(function: Callable[[], None], pool: object, stream: object) -> Callable[[], None]:
-    recorder = Recorder()
-    with recorder, NoNumbers():
-        function()
-    return recorder.replay
 
 
 @pytest.fixture(params=["recorder", pytest.param("cuda", marks=on_a_gpu)])
@@ -114,23 +37,13 @@ def pair(variant: dict, device: str) -> tuple[Learner, Learner]:
     return replaying, plain
 
 
-def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
-    """A batch with void decisions and agents that are out of the game."""
-    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3, sight=SIGHT)
-    batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
-    alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
-    batch = batch._replace(alive=alive[:3], next_alive=alive[3:])
-    batch = with_sides(batch, SIDES.get(learner.config.critic_input, 0), seed=seed)
-    return pytree.tree_map(lambda x: x.to(learner.device), batch)
-
-
 def assert_equal(one: Learner, other: Learner) -> None:
     theirs = other.state()
     for name, array in one.state().items():
         np.testing.assert_allclose(array, theirs[name], rtol=1e-6, atol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS)
+@pytest.mark.parametrize("variant", EVERY_UPDATE.values(), ids=EVERY_UPDATE)
 def test_a_replayed_update_is_an_update(variant, device, experience):
     replaying, plain = pair(variant, device)
     kept = replaying.state()

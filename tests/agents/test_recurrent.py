@@ -1,7 +1,5 @@
-"""Policies and critics that remember: equal numbers in JAX and in torch, and nothing kept beyond an episode's end."""
+"""Policies that remember, as they act: equal numbers in JAX and in torch, and nothing kept beyond an episode's end."""
 
-import copy
-from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -9,17 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 import arenas
-from agents.batch import Batch, Critique, Sequences, clean
+from agents.batch import clean
 from agents.bridge import team_batch, to_jax
 from agents.happo import Learner
-from agents.networks import GRU
 from agents.policy import Crew, act, crew, learned, remember, units
 from agents.rollout import Trajectory, Worlds, make_play, make_reset, make_restart, make_rollout, remembering
 from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
+from tests.agents.memories import along, cell_of, scrambled
 
 KINDS = {
     "plain": Architecture((6,), recurrent=5),
@@ -27,62 +24,12 @@ KINDS = {
     "squashed, state_std": Architecture((6,), squash=1.5, state_std=True, recurrent=5),
 }
 WORLDS = 24
-WHOLE = HappoConfig(  # one step on the whole batch
-    Architecture((5,), recurrent=4), lr=0.02, critic_lr=0.05, gamma=0.0, epochs=1, minibatches=1, value_norm=False,
-    fixed_order=True, chunk=8,
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def echo() -> Arena:
     """A cue to be repeated four decisions later."""
     return arenas.settings(f"{Path(__file__).parents[1] / 'arenas' / 'echo.py'}:echo").build()
-
-
-def scrambled(config: HappoConfig, seed: int = 0, sizes: tuple[list[int], list[int]] = ([2], [1])) -> Learner:
-    """A learner whose every weight counts, so that what it remembers shows."""
-    learner, rng = Learner(*sizes, config, seed), torch.Generator().manual_seed(seed)
-    with torch.no_grad():
-        for each in (*learner.actor_learners, *learner.critic_learners):
-            for weights in each.network.parameters():
-                weights += 0.4 * torch.randn(weights.shape, generator=rng)
-    return learner
-
-
-# The unit itself ------------------------------------------------------------------------------------------------------
-
-
-def cell_of(gru: GRU) -> torch.nn.GRUCell:
-    """Torch's own cell with the same weights under the same names."""
-    cell = torch.nn.GRUCell(gru.weight_ih.shape[1], gru.weight_hh.shape[1])
-    cell.load_state_dict({name: w for name, w in gru.state_dict().items() if not name.startswith("norm")})
-    return cell.to(gru.weight_ih.dtype)
-
-
-def along(cell: torch.nn.GRUCell, x: Tensor, first: Tensor, memory: Tensor) -> Tensor:
-    """What the cell remembers (B, L, units) over sequences, each episode from nothing."""
-    states = []
-    for t in range(x.shape[1]):
-        memory = torch.where(first[:, t, None], torch.zeros_like(memory), memory)
-        memory = cell(x[:, t], memory)
-        states.append(memory)
-    return torch.stack(states, 1)
-
-
-def test_the_unit_is_torchs_cell_which_forgets_where_an_episode_begins():
-    rng = torch.Generator().manual_seed(0)
-    gru = GRU(3, 4, layer_norm=False)
-    with torch.no_grad():
-        for bias in (gru.bias_ih, gru.bias_hh):
-            bias += torch.randn(bias.shape, generator=rng)
-    x, memory = torch.randn(6, 9, 3, generator=rng), torch.randn(6, 4, generator=rng)
-    first = torch.rand(6, 9, generator=rng) < 0.2
-    torch.testing.assert_close(gru(x, first, memory), along(cell_of(gru), x, first, memory))
-    untouched = gru(x, first, memory)
-    changed = gru(x, first, memory + 1.0)
-    begun = first.cumsum(1) > 0
-    assert torch.equal(changed[begun], untouched[begun])
-    assert (changed[~begun] != untouched[~begun]).any(-1).all()
 
 
 # In rollouts ----------------------------------------------------------------------------------------------------------
@@ -175,6 +122,7 @@ def test_chunks_change_nothing_but_what_is_told_of_memory(echo, same):
 
 # Crews of all kinds ---------------------------------------------------------------------------------------------------
 
+
 SEATED = {
     "wide": Architecture((6,), recurrent=8),
     "small": Architecture((6,), recurrent=3, layer_norm=True),
@@ -236,139 +184,6 @@ def test_a_part_of_a_crew_writes_no_further_than_its_own_memory(member):
 def test_who_should_remember_cannot_act_without_memory(member):
     with pytest.raises(ValueError, match="give it its memory"):
         act(crew([member("small")]), jnp.zeros((2, 2)), jax.random.split(jax.random.key(0), 2))
-
-
-# The update -----------------------------------------------------------------------------------------------------------
-
-
-def sequences(batch: Batch, i: int) -> Sequence[Tensor]:
-    """Agent i's whole rollout in each world: observations, actions, densities, and where episodes begin."""
-    return [x.transpose(0, 1) for x in (batch.observations[i], batch.actions[i], batch.log_probs[i], batch.first[0])]
-
-
-def test_a_chunk_as_long_as_the_rollout_is_the_plain_computation(experience):
-    """PPO on whole sequences with torch's own cell; so is the critic's step."""
-    learner = scrambled(WHOLE, sizes=([4], [2]))
-    batch, (actor, critic) = experience(learner, seed=2), (
-        copy.deepcopy(x[0].network) for x in (learner.actor_learners, learner.critic_learners)
-    )  # fmt: skip
-    obs, actions, old, first = sequences(batch, 0)
-    cells = [cell_of(network.gru) for network in (actor, critic)]
-    for network, cell in zip((actor, critic), cells, strict=True):
-        network.gru = cell  # the optimiser below sees the cell's weights
-    optimizers = [torch.optim.Adam(x.parameters(), lr, eps=1e-5) for x, lr in ((actor, 0.02), (critic, 0.05))]
-
-    R = batch.rewards.transpose(0, 1)
-    value = critic.value(along(cells[1], critic.trunk(obs), first, batch.recalled[0])).squeeze(-1)
-    A = R - value.detach()
-    A = (A - A.mean()) / (A.std(correction=0) + 1e-5)
-    features = along(cells[0], actor.trunk(obs), first, batch.memories[0][0])
-    std = torch.sigmoid(actor.std_logit) * actor.std_scale
-    policy = torch.distributions.Normal(actor.mean(features), std.expand(actions.shape))
-    r = (policy.log_prob(actions).sum(-1) - old).exp()
-    gain = torch.minimum(r * A, r.clamp(0.8, 1.2) * A).mean()
-    losses = (
-        -gain - WHOLE.entropy * policy.entropy().sum(-1).mean(),
-        torch.nn.functional.huber_loss(value, R, delta=10.0),
-    )
-    for network, optimizer, loss in zip((actor, critic), optimizers, losses, strict=True):
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), WHOLE.max_grad_norm)
-        optimizer.step()
-    fresh = copy.deepcopy(learner)
-    learner.update(batch)
-    for expected, found, before in (
-        (actor, learner.actors[0], fresh.actors[0]),
-        (critic, learner.critic_learners[0].network, fresh.critic_learners[0].network),
-    ):
-        mine, old_ones = dict(found.named_parameters()), dict(before.named_parameters())
-        for name, weights in expected.named_parameters():
-            torch.testing.assert_close(mine[name], weights, rtol=1e-4, atol=1e-5, msg=name)
-            assert float((mine[name] - old_ones[name]).detach().abs().max()) > 1e-4, name
-
-
-def critique_of(learner: Learner, batch: Batch) -> Critique:
-    return learner.critic_learners[0].criticise(clean(batch))
-
-
-def part_of(batch: Batch, begin: int, end: int) -> Batch:
-    """Some decisions of a batch in chunks of one."""
-    cut = [[x[begin:end] for x in each] if isinstance(each, list) else each[begin:end] for each in batch[:10]]
-    return Batch(*cut, first=[batch.first[0][begin:end]], memories=batch.memories, recalled=batch.recalled)
-
-
-def test_a_critic_goes_on_from_what_it_remembered_at_the_end_of_the_batch_before(experience):
-    config = HappoConfig(Architecture((5,), recurrent=4), chunk=2, gamma=0.9)
-    learner = scrambled(config, sizes=([4, 3], [2, 1]))
-    batch = experience(learner, seed=3)
-    whole = critique_of(learner, batch)
-    learner.update_critic_only(batch)
-    (last,) = learner.remembered
-    begin = critique_of(scrambled(config, sizes=([4, 3], [2, 1])), part_of(batch, 0, 4))
-    rest = critique_of(
-        scrambled(config, sizes=([4, 3], [2, 1])), part_of(batch, 4, 8)._replace(recalled=list(begin.last))
-    )
-    torch.testing.assert_close(torch.cat([begin.values, rest.values]), whole.values)
-    torch.testing.assert_close(torch.cat([begin.seen.memory, rest.seen.memory]), whole.seen.memory)
-    torch.testing.assert_close(rest.last[0], last)
-    goes_on = ~batch.first[0][4]  # into the second part; where it does not, what was before is of no account
-    poisoned = [begin.last[0].masked_fill(~goes_on[:, None], 99.0)]
-    again = critique_of(scrambled(config, sizes=([4, 3], [2, 1])), part_of(batch, 4, 8)._replace(recalled=poisoned))
-    assert torch.equal(again.values, rest.values)
-    lost = critique_of(
-        scrambled(config, sizes=([4, 3], [2, 1])), part_of(batch, 4, 8)._replace(recalled=[0 * begin.last[0]])
-    )
-    assert ((lost.values != rest.values)[: len(goes_on), 0] == goes_on).all()
-
-
-def test_what_followed_is_valued_as_the_next_decision_sees_it(experience):
-    """V(s_{t+1}) is V(s_t) of the next row as long as the episode lasts, and that of the same episode where it ends."""
-    learner = scrambled(HappoConfig(Architecture((5,), recurrent=4), chunk=2), sizes=([4], [2]))
-    batch = experience(learner, seed=3)
-    critic, first = learner.critic_learners[0].network, batch.first[0]
-    following = torch.where(first[1:, :, None], batch.next_observations[0][:-1], batch.observations[0][1:])
-    following = torch.cat([following, batch.next_observations[0][-1:]])
-    by_world = [x.transpose(0, 1) for x in (batch.observations[0], following, first)]
-    with torch.no_grad():
-        seen = Sequences(by_world[0], by_world[2], batch.recalled[0])
-        values, next_values, states = critic.along(seen, by_world[1])
-    goes_on = ~first[1:].transpose(0, 1)
-    torch.testing.assert_close(next_values[:, :-1][goes_on], values[:, 1:][goes_on])
-    torch.testing.assert_close(values, critic(seen))
-    ended = cell_of(critic.gru)(critic.trunk(by_world[1]).flatten(0, 1), states.flatten(0, 1))
-    torch.testing.assert_close(critic.value(ended).view_as(next_values), next_values)
-
-
-def test_after_a_batch_in_which_all_is_void_nothing_is_remembered(experience):
-    learner = scrambled(WHOLE, sizes=([4], [2]))
-    batch = experience(learner, seed=2)
-    learner.update(batch)
-    assert [m.shape for m in learner.remembered] == [(6, 4)]
-    assert learner.update(batch._replace(void=torch.ones_like(batch.void))) == {}
-    assert learner.remembered == ()
-
-
-def test_what_a_void_decision_holds_changes_nothing(experience, same):
-    states = []
-    for garbage in (None, 1e3, float("nan")):
-        learner = scrambled(HappoConfig(Architecture((5,), recurrent=4), chunk=2), sizes=([4, 3], [2, 1]))
-        batch = experience(learner, seed=4, void=0.2)
-        if garbage is not None:
-            for tensor in (
-                *batch.observations,
-                *batch.next_observations,
-                *batch.actions,
-                *batch.log_probs,
-                batch.rewards,
-            ):
-                tensor[batch.void] = garbage
-            for memory in (*batch.memories, batch.recalled):  # before a chunk with which an episode begins
-                for number, held in enumerate(memory):
-                    held[batch.first[0][2 * number]] = garbage
-        learner.update(batch)
-        states.append((learner.state(), list(learner.remembered)))
-    assert same(states[0], states[1])
-    assert same(states[0], states[2])
 
 
 # A game for who remembers ---------------------------------------------------------------------------------------------

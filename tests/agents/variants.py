@@ -1,10 +1,14 @@
 """Settings of a learner, and the batches that they need, for what must hold of every variant."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import torch
+from torch.utils import _pytree as pytree
 
 from agents.batch import Batch, Side
+from agents.happo import Learner
 from agents.settings import Architecture, HappoConfig
 
 BASE = HappoConfig(
@@ -27,6 +31,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "recurrent hatrpo": RECURRENT | {"method": "hatrpo"},
     "recurrent privileged": RECURRENT | {"critic_input": "privileged"},
 }
+EVERY_UPDATE = VARIANTS | {  # also where networks and precisions make other kernels of it
+    "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
+    "bf16": {"precision": "bf16"},
+    "recurrent, shared": {
+        "architecture": Architecture((6,), "elu", True, recurrent=5), "chunk": 2, "share_actors": True
+    },
+    "recurrent bf16": RECURRENT | {"precision": "bf16"},
+    "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
+}  # fmt: skip
 SIGHT = 7  # numbers that a critic sees which sees no observations
 SIDES = {"privileged": 1, "same": 2}  # from which such a critic learns
 
@@ -44,3 +57,13 @@ def with_sides(batch: Batch, sides: int, size: int = SIGHT, seed: int = 12) -> B
         return Side(seen, then, torch.randn(shape, generator=rng) - 1.0, ends, broken)
 
     return batch._replace(sides=[side(number) for number in range(sides)])
+
+
+def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
+    """A batch with void decisions and agents that are out of the game."""
+    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3, sight=SIGHT)
+    batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
+    alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
+    batch = batch._replace(alive=alive[:3], next_alive=alive[3:])
+    batch = with_sides(batch, SIDES.get(learner.config.critic_input, 0), seed=seed)
+    return pytree.tree_map(lambda x: x.to(learner.device), batch)
