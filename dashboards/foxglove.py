@@ -4,6 +4,7 @@
     /scene              foxglove.SceneUpdate, the shapes of each body in its own frame, and who plays it; once
     /markers            foxglove.SceneUpdate, rings and goals in the world, whenever they have changed
     /events             foxglove.Log
+    /match/step         league.v1.Step, the numbers of the recording: score, rewards, terms, value estimates, ...
     /robot_description  the same shapes as URDF, which rerun draws; it has neither ellipsoids nor meshes
 
 It is a view, larger than the recording and less exact: what happened is in the recording alone.
@@ -23,7 +24,8 @@ from dashboards.cast import Performer
 from dashboards.errors import ViewerError
 from dashboards.replay import Replay, replay, rgba, turn, visible_geoms
 from storage.files import whole_file
-from storage.recording import Recording
+from storage.messages import message_classes
+from storage.recording import Recording, step_messages
 
 WORLD = "world"
 RING = (1.0, 0.78, 0.24, 1.0)
@@ -38,8 +40,9 @@ def write_foxglove(recording: Recording, path: Path, cast: Sequence[Performer] |
         send = _Sender(writer, kinds, recording.header.dt)
         _describe(writer, scene)
         send("/scene", kinds["SceneUpdate"](entities=list(_entities(kinds, scene, recording))), 0)
-        events = sorted(recording.events)
+        events, numbers = sorted(recording.events), step_messages(recording)
         for step in range(recording.steps):
+            send.bytes("/match/step", message_classes()["Step"], numbers[step], step)
             moved = kinds["FrameTransforms"](transforms=list(_transforms(kinds, scene, send.stamp(step), step)))
             send("/tf", moved, step)
             changed = step == 0 or any((each[step] != each[step - 1]).any() for each in recording.markers.values())
@@ -63,8 +66,12 @@ class _Sender:
         )
 
     def __call__(self, topic: str, message: Any, step: int) -> None:
+        self.bytes(topic, type(message), message.SerializeToString(), step)
+
+    def bytes(self, topic: str, kind: Any, message: bytes, step: int) -> None:
+        """Write a message of that kind that is bytes already."""
         at = round(step * self._dt * 1e9)
-        self._writer.add_message(self._register(topic, type(message)), at, message.SerializeToString(), at, step)
+        self._writer.add_message(self._register(topic, kind), at, message, at, step)
 
     def stamp(self, step: int) -> Any:
         at = round(step * self._dt * 1e9)

@@ -39,6 +39,7 @@ class Pairs:
     """A table of which a reader sees the rows of one pair, chosen in two lists or in the heat map that stands before.
 
     `found[a][b]` has the rows of a against b: each as many texts as there are `heads`, the last one a command to copy.
+    The first of a row with a command leads to a page at `led` and that text, if `led` says something.
     """
 
     firsts: Sequence[str]
@@ -46,6 +47,7 @@ class Pairs:
     heads: Sequence[str]
     found: Mapping[str, Mapping[str, Sequence[Sequence[str]]]]
     name: str
+    led: str = ""
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ def _pairs(name: str, part: Pairs) -> str:
     return (
         f'<fieldset class="pairs" id="{name}" data-block><legend>{escape(part.name)}</legend>\n{lists}'
         f'<div {_region(part.name)} aria-live="polite" hidden></div>'
-        f"{_embedded({'heads': part.heads, 'found': part.found})}</fieldset>"
+        f"{_embedded({'heads': part.heads, 'found': part.found, 'led': part.led})}</fieldset>"
     )
 
 

@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from dashboards.errors import ViewerError
+from dashboards.matches import Found, Matches
 from dashboards.page import Page, body, document, missing, script
 from storage.errors import StorageError
 
@@ -45,13 +46,16 @@ def bound(port: int) -> socket.socket:
         raise ViewerError(f"port {port} is taken{_holder(port)}; {advice}") from error
 
 
-def serve(listener: socket.socket, version: Callable[[], str], read: Callable[[], Page]) -> None:
+def serve(
+    listener: socket.socket, version: Callable[[], str], read: Callable[[], Page], found: Callable[[int], Found]
+) -> None:  # fmt: skip
     """Answer until the process is told to stop.
 
     Args:
         listener: where to, see `bound`.
         version: what changes whenever the page does. May raise StorageError, while the store cannot be read.
-        read: the page as it is now. Both are called in threads.
+        read: the page as it is now.
+        found: what was recorded of a match, by its number, and who played. All are called in threads.
 
     Raises:
         ViewerError: Starlette, uvicorn or Plotly is not installed.
@@ -62,17 +66,23 @@ def serve(listener: socket.socket, version: Callable[[], str], read: Callable[[]
         raise missing("uvicorn", error) from error
     script("plotly.js")  # or it would be missed only when a browser asks for it
     server: uvicorn.Server | None = None
-    app = application(version, read, lambda: server is not None and server.should_exit)
+    matches = Matches(found)
+    app = application(version, read, matches, lambda: server is not None and server.should_exit)
     config = uvicorn.Config(
         app, log_level="warning", access_log=False, lifespan="off", server_header=False, headers=[("Server", NAME)],
         timeout_graceful_shutdown=LEAVE,
     )  # fmt: skip
     server = uvicorn.Server(config)
-    server.run(sockets=[listener])
+    try:
+        server.run(sockets=[listener])
+    finally:
+        matches.close()
 
 
-def application(version: Callable[[], str], read: Callable[[], Page], stopping: Callable[[], bool]) -> "Starlette":
-    """The server's answers: the page at `/`, its newer content at `/main`, and at `/events` when there is any.
+def application(
+    version: Callable[[], str], read: Callable[[], Page], matches: Matches, stopping: Callable[[], bool]
+) -> "Starlette":  # fmt: skip
+    """The server's answers: the page at `/`, its newer content at `/main`, at `/events` when there is any, and matches.
 
     Raises ViewerError where Starlette is not installed.
     """
@@ -111,6 +121,7 @@ def application(version: Callable[[], str], read: Callable[[], Page], stopping: 
 
     routes = [Route("/", whole), Route("/main", main), Route("/events", events)]
     routes += [Route(f"/{name}", partial(file, name)) for name in ("page.js", "plotly.js")]
+    routes += matches.routes(HEADERS)
     # A name that somebody else lets point to this machine is none of ours: their page must not read this one.
     ours = Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     return Starlette(routes=routes, middleware=[ours], exception_handlers={StorageError: away})

@@ -35,6 +35,7 @@ class Column:
     decimals: int | None = None  # None: by the size of the column's largest value
     whole: bool = False  # never broken into two lines, whatever the width
     typed: bool = False  # commands: HTML has a button for each, see `command`
+    led: str = ""  # the key of where HTML has a cell lead to, in rows where that says something
 
 
 def render(
@@ -115,6 +116,9 @@ def _html(records: list[dict[str, Any]], columns: list[Column], title: str) -> s
     texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
     kinds = [' class="number"' if _is_numeric(values) else "" for values in cells]
     shown = [list(map(command if c.typed else escape, column)) for c, column in zip(columns, texts, strict=True)]
+    for c, column in zip(columns, shown, strict=True):
+        if c.led:
+            column[:] = [link(str(row.get(c.led) or ""), text) for row, text in zip(records, column, strict=True)]
     heads = [f'<th scope="col"{kind}>{escape(c.title or c.key)}</th>' for c, kind in zip(columns, kinds, strict=True)]
     naming = next((i for i, c in enumerate(columns) if c.whole), None)
     tags = [("th", ' scope="row"') if i == naming else ("td", kind) for i, kind in enumerate(kinds)]
@@ -130,6 +134,11 @@ def _html(records: list[dict[str, Any]], columns: list[Column], title: str) -> s
 def command(text: str) -> str:
     """A command in HTML, as a button that copies it; nothing where it is missing."""
     return "" if text == MISSING else f'<button type="button" class="copy">{escape(text)}</button>'
+
+
+def link(to: str, markup: str) -> str:
+    """A link to a page of its own, in HTML; the bare markup where it leads nowhere."""
+    return f'<a href="{escape(to)}" target="_blank" rel="noopener">{markup}</a>' if to else markup
 
 
 def _is_plain(heads: list[str], texts: list[list[str]], width: int) -> bool:

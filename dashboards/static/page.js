@@ -56,12 +56,20 @@ function copying(command) {
   return button;
 }
 
+function leading(to, text) {
+  return Object.assign(made("a", text), { href: to, target: "_blank", rel: "noopener" });
+}
+
 function showPair(pairs) {
   const [a, b] = [...pairs.querySelectorAll("select")].map((list) => list.value);
-  const { heads, found } = read(pairs);
+  const { heads, found, led } = read(pairs);
   const of = (one, other) => found[one]?.[other] ?? [];
   const rows = (a === b ? of(a, b) : [...of(a, b), ...of(b, a)]).sort((one, other) => other[0] - one[0]);
-  const line = (row) => made("tr", ...row.map((text, i) => made("td", i < row.length - 1 || !text ? text : copying(text))));
+  const cell = (row) => (text, i) => {
+    if (i === row.length - 1) return text && copying(text);
+    return i === 0 && led && row.at(-1) ? leading(led + text, text) : text;
+  };
+  const line = (row) => made("tr", ...row.map(cell(row)).map((inside) => made("td", inside)));
   const titles = made("thead", made("tr", ...heads.map((head) => Object.assign(made("th", head), { scope: "col" }))));
   const told = `${a} and ${b}: ${rows.length || "no"} ${rows.length === 1 ? "batch" : "batches"}`;
   const table = made("table", made("caption", told), titles, made("tbody", ...rows.map(line)));

@@ -6,7 +6,7 @@ The picture is made from the recorded joint positions on demand; a `.rrd` file i
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,6 +100,24 @@ def hub(port: int) -> Iterator["Hub"]:
         try:
             wait_until_it_listens(process, log, port)
             yield Hub(port, f"rerun+http://127.0.0.1:{feed}/proxy")
+        finally:
+            process.kill()
+            process.wait()
+
+
+@contextmanager
+def web_viewer() -> Iterator[tuple[str, Callable[[], bool]]]:
+    """Rerun's viewer as a page on 127.0.0.1 that draws the file its address names; its origin, and whether it is there.
+
+    Raises ViewerError where rerun is not installed or does not start.
+    """
+    _rerun()
+    with logged() as log:
+        port = free_port()
+        process = start(log, "--serve-web", "--web-viewer-port", str(port), "--port", str(free_port()))
+        try:
+            wait_until_it_listens(process, log, port)
+            yield f"http://127.0.0.1:{port}", lambda: process.poll() is None
         finally:
             process.kill()
             process.wait()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dashboards.cast import Colour, shape
+from dashboards.cast import Colour, Performer, shape
 from dashboards.replay import EYE, TARGET, Replay, distances
 from dashboards.viewer.scene import times
 from storage.recording import Recording
@@ -36,6 +36,16 @@ def _curves(recording: Recording, scene: Replay) -> Iterator[tuple[list[str], st
         for number, (term, values) in enumerate(recording.terms.items()):
             colour = TERM_COLOURS[number % len(TERM_COLOURS)]  # the same in every team's plot
             yield ["terms", name, term], term, colour, values[:, team]
+    for judged, values in recording.values.items():
+        who = _player(recording, scene, judged)
+        yield ["value", *judged.split("/")], f"{who.name} ({judged})", who.colour, values
+
+
+def _player(recording: Recording, scene: Replay, judged: str) -> Performer:
+    """Who plays a team, or one of its agents."""
+    header = recording.header
+    named = zip(header.teams, header.agents, scene.cast, strict=True)
+    return next(who for team, agents, who in named if judged in (team, *agents))
 
 
 def _draw_events(rr: Any, stream: Any, recording: Recording) -> None:
@@ -133,7 +143,8 @@ def _plots(rr: Any, recording: Recording, scene: Replay) -> list[list[Any]]:
 
     far = [plot(["distance", name], f"Distance to {name}, m") for name in distances(recording, scene)]
     terms = [plot(["terms", team], f"Terms of {team}") for team in recording.header.teams if recording.terms]
-    return [[*far, plot(["score"], "Score")], [*terms, plot(["reward"], "Reward")]]
+    worth = [plot(["value"], "Value estimates")] if recording.values else []
+    return [[*far, *worth, plot(["score"], "Score")], [*terms, plot(["reward"], "Reward")]]
 
 
 def _event_views(rr: Any) -> list[Any]:

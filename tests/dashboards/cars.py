@@ -79,5 +79,6 @@ def cars() -> Recording:
         markers={"ring": np.stack([0 * radius, 0 * radius, radius], axis=1)},
         events=[(30, "contact"), (60, "red/0 leaves the ring"), (80, "contact")],
         terms={"push": np.stack([n / STEPS, -n / STEPS], axis=1), "effort": np.full((STEPS, 2), -0.25)},
+        values={"blue": np.cos(n / 9)},
     )
     return from_bytes(to_bytes(recording))

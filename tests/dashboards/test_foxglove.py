@@ -67,6 +67,14 @@ def test_markers_change_and_events_are_told(file):
     assert [log.message for log in messages(file, "/events")] == ["contact", "red/0 leaves the ring", "contact"]
 
 
+def test_the_numbers_of_the_recording_can_be_plotted(file):
+    match, steps = cars(), messages(file, "/match/step")
+    assert [step.reward[1] for step in steps] == match.reward[:, 1].tolist()
+    assert [{each.name: each.values[0] for each in step.values} for step in steps] == [
+        {"blue": value} for value in match.values["blue"].tolist()
+    ]
+
+
 def test_rerun_finds_it_sound_and_its_urdf_has_every_body(file, tmp_path):
     recording = tmp_path / "recording.mcap"
     recording.write_bytes(to_bytes(cars(), cars()))

@@ -24,7 +24,7 @@ def test_whatever_a_name_holds_is_text(live):
     assert page.headings == [("h1", NASTY), ("h2", NASTY)]
     assert page.figures == {"one-1": FIGURE}
     assert page.captions == {"one-1": NASTY}
-    assert page.data == [{"heads": ["match"], "found": {NASTY: {"b": [["1", NASTY]]}}}]
+    assert page.data == [{"heads": ["match"], "found": {NASTY: {"b": [["1", NASTY]]}}, "led": ""}]
     assert page.tables[""] == [["name", "elo"], [NASTY, "1200"]]
     assert len(page.scripts) == 2  # Plotly's and its own
     assert len(page.ids) == len(set(page.ids))

@@ -10,6 +10,7 @@ import pytest
 
 from dashboards import server
 from dashboards.errors import ViewerError
+from dashboards.matches import Found
 from dashboards.page import Page
 from storage.errors import StorageError
 
@@ -23,7 +24,10 @@ def serve(folder: Path, port: int) -> None:
         except FileNotFoundError:
             raise StorageError("The store is\naway.") from None
 
-    server.serve(server.bound(port), version, lambda: Page("Cup", "", [], version()))
+    def found(number: int) -> Found:
+        raise StorageError(f"There is no match {number}.")
+
+    server.serve(server.bound(port), version, lambda: Page("Cup", "", [], version()), found)
 
 
 @pytest.fixture

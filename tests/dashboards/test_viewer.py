@@ -185,6 +185,8 @@ def test_how_far_each_team_is_from_what_moves_and_is_nobodys(match):
 def test_terms_are_series_of_their_team_and_events_lanes_of_the_time_line(match, columns):
     assert [row[0] for row in columns["/terms/red/push", "Scalars:scalars"]] == match.terms["push"][:, 1].tolist()
     assert [row[0] for row in columns["/terms/blue/effort", "Scalars:scalars"]] == [-0.25] * STEPS
+    assert [row[0] for row in columns["/value/blue", "Scalars:scalars"]] == match.values["blue"].tolist()
+    assert not [path for path, _ in columns if path.startswith("/value/red")]  # nobody judged for red
     assert columns["/lanes/contact", "step"] == [30, 31, 80, 81]
     assert columns["/lanes/contact", "StateChange:state"] == [["contact"], [""], ["contact"], [""]]
     (lane,) = {path for path, _ in columns if path.startswith("/lanes/red")}
@@ -192,11 +194,11 @@ def test_terms_are_series_of_their_team_and_events_lanes_of_the_time_line(match,
 
 
 def test_a_match_without_terms_or_events_is_drawn_without_them(match, tmp_path):
-    viewer.write_rrd(replace(match, terms={}, events=()), tmp_path / "plain.rrd")
+    viewer.write_rrd(replace(match, terms={}, values={}, events=()), tmp_path / "plain.rrd")
     reader = rr.chunk.RrdReader(tmp_path / "plain.rrd")
     paths = {chunk.entity_path for store in reader.recordings() for chunk in reader.stream(store=store).to_chunks()}
     assert {path.split("/")[1] for path in paths} >= {"world", "score", "reward", "header"}
-    assert not {path.split("/")[1] for path in paths} & {"terms", "events", "lanes"}
+    assert not {path.split("/")[1] for path in paths} & {"terms", "value", "events", "lanes"}
 
 
 def test_a_name_under_another_bodys_name_does_not_inherit_its_motion(match, tmp_path):
