@@ -16,7 +16,7 @@ from league.config.experiment import Config
 from league.config.schema import ConfigError
 from league.jobs import RatingMatch, encode
 from league.measures import can_meet
-from league.query import Open
+from league.query import Open, require_whole
 from storage.errors import UnknownName
 from storage.records import ArenaKey, Match, PairCounts, Purpose, Snapshot
 
@@ -83,6 +83,8 @@ def bout(opened: Open, a: str, b: str | None) -> Bout:
     for name in (a, b):
         if name is not None and name not in known:
             raise UnknownName("snapshot", name, known)
+        if name is not None:
+            require_whole(known[name], known.values())
     players = opened.store.players(opened.league)
     one_team = len({p.team for p in players}) == 1
     if one_team != (b is None):

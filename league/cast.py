@@ -13,7 +13,7 @@ def cast(opened: Open, match: Match, sides: Sequence[str]) -> tuple[Performer, .
     """The performers of the sides, snapshots by name; one that the league no longer has is shown by its name alone.
 
     Colours are numbered by the league's players, in the order in which they were made, and then by what else is in its
-    pool, so in every match of a league a player has the same one.
+    pool, so in every match of a league a player has the same one. Who learns is a player at an iteration.
     """
     snapshots = {s.name: s for s in opened.store.snapshots(opened.league)}
     roles = {player.name: player.role for player in opened.store.players(opened.league)}
@@ -22,10 +22,13 @@ def cast(opened: Open, match: Match, sides: Sequence[str]) -> tuple[Performer, .
     ladder = before(opened, match)
     found, ages = [], []
     for side, name in enumerate(sides):
-        snapshot = snapshots.get(name)
-        number = numbers.get(snapshot.player or name, side) if snapshot else side
-        found.append(Performer(name, COLOURS[number % len(COLOURS)], _role(snapshot, roles), rating(ladder, name)))
-        ages.append(snapshot.iteration if snapshot else 0)
+        snapshot, (player, _, iteration) = snapshots.get(name), name.rpartition("@")
+        learns = match.purpose == "training" and player in roles and iteration.isdecimal()
+        key = player if learns else (snapshot.player or name) if snapshot else ""
+        number, role = numbers.get(key, side), roles[player] if learns else _role(snapshot, roles)
+        rated = "" if learns else rating(ladder, name)
+        found.append(Performer(name, COLOURS[number % len(COLOURS)], role, rated))
+        ages.append(int(iteration) if learns else snapshot.iteration if snapshot else 0)
     return told_apart(found, ages)
 
 

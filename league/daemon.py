@@ -143,6 +143,8 @@ class Manager:
             self.store.queue([*turns.jobs, *wanted.jobs], turns.phases)
         if training:
             return "training"
+        if late:
+            self.store.queue((), [matches.rating_over(self.config, standing)])
         return "rating" if not late and (wanted.jobs or matches.is_rating(standing)) else "done"
 
     def _late(self) -> bool:

@@ -75,7 +75,9 @@ def used(backend: str) -> float:
     A CPU is one device, all its cores: a process that stands back behind another takes little of it, however long that
     takes. What a GPU did in the meantime is not told; there every second counts in which the process waited for it.
     """
-    return time.process_time() / (os.cpu_count() or 1) if backend == "cpu" else time.monotonic()
+    from arenas.cores import cores  # not for a query, which asks this module for a GPU's memory alone
+
+    return time.process_time() / cores() if backend == "cpu" else time.monotonic()
 
 
 def lacks_to_compile() -> str:

@@ -21,7 +21,7 @@ from safetensors.numpy import save
 
 from agents.settings import ACTIVATIONS
 from league.config.schema import ConfigError
-from league.query import Open
+from league.query import Open, require_whole
 from league.rated import Row, rating_rows
 from matchmaking.ladder import Ladder
 from storage import arrays
@@ -60,6 +60,7 @@ def export(league: Open, name: str) -> Policy:
     if name not in snapshots:
         raise UnknownName("snapshot", name, snapshots)
     snapshot = snapshots[name]
+    require_whole(snapshot, snapshots.values())
     if snapshot.script is not None:
         raise StorageError(f"{name} is a script, which has no weights to export; every league of its arena has it.")
     found = arrays.from_bytes(league.store.blobs.get(snapshot.digest))

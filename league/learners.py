@@ -1,6 +1,5 @@
 """Players' learners: made as the league's settings and their own have them, and how several learn at once."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -9,11 +8,14 @@ from zlib import crc32
 
 import numpy as np
 
-from agents.bridge import common_size
+from agents.batch import Batch
+from agents.bridge import Recalled, common_size, team_batch
 from agents.happo import Learner
 from agents.parallel import ALONE, Together
+from agents.rollout import Trajectory
 from agents.settings import HappoConfig
 from arenas.arena import Arena
+from arenas.cores import cores
 from arenas.state import TeamSpec
 from league import heirs
 from league.config.experiment import Config
@@ -65,6 +67,19 @@ def begin_anew(
     learner.rng.manual_seed(crc32(f"{config.seed}/{player.name}/{iteration}".encode()))
 
 
+def batch_of(
+    config: Config, arena: Arena, player: Player, trajectory: Trajectory, worlds: slice | np.ndarray = slice(None),
+    shaping: float = 0.0, recalled: Recalled = (),
+) -> Batch:  # fmt: skip
+    """A player's part of a trajectory with what its critic sees, as the settings have that; see `team_batch`."""
+    sees = config.learner.critic_input
+    return team_batch(
+        trajectory, arena.teams[player.team], player.team, worlds, shaping,
+        others=others(config, arena, player.team), privileged=sees == "privileged",
+        common=arena.teams if sees == "same" else (), recalled=recalled,
+    )  # fmt: skip
+
+
 def others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
     """The teams whose observations a team's critic sees beside its own."""
     return [t for i, t in enumerate(arena.teams) if i != team and config.learner.critic_input == "all"]
@@ -76,4 +91,4 @@ def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
     A GPU is asked by one thread: it is busy with one update. So are ranks, that all may hear the same in one order.
     """
     free = all(learner.device.type == "cpu" and learner.together.size == 1 for learner in learners)
-    return ThreadPoolExecutor(os.cpu_count(), "update").map if free else map
+    return ThreadPoolExecutor(cores(), "update").map if free else map

@@ -21,8 +21,8 @@ from storage.store import Store
 class Lineup:
     """The groups of a turn. `worlds` is the number asked for, rounded down to whole groups.
 
-    `seated` says who sits where, `seated[group][team]`: a player's name, or that of a past snapshot. Who is `aloof`
-    learns from its own groups alone.
+    `seated` says who sits where, `seated[group][team]`: a player's name, or that of a snapshot in `past`. Who is
+    `aloof` learns from its own groups alone.
     """
 
     def __init__(
@@ -46,12 +46,18 @@ class Lineup:
         self.worlds = self._each * self.groups
         past_names = {name for seats in self.seated for name in seats} - set(turn.present)
         snapshots = {s.name: s for s in store.snapshots(league)} if past_names else {}
-        self._past: dict[str, list[Policy]] = {name: thaw(store, _known(snapshots, name), arena) for name in past_names}
+        self.past = {name: _known(snapshots, name) for name in past_names}
+        self._past: dict[str, list[Policy]] = {name: thaw(store, past, arena) for name, past in self.past.items()}
 
-    def crews(self, now: Mapping[str, Sequence[Params]], also: Mapping[str, Sequence[Params]]) -> dict[str, Crew]:
-        """Stacked policies by agent name; `now` are the present players' actors, `also` as for `seat`."""
+    def crews(
+        self, now: Mapping[str, Sequence[Params]], also: Mapping[str, Sequence[Params]], groups: int | None = None
+    ) -> dict[str, Crew]:
+        """Stacked policies by agent name; `now` are the present players' actors, `also` as for `seat`.
+
+        Those of the first `groups` of worlds; None: of all.
+        """
         everyone: dict[str, Sequence[Policy]] = {**self._past, **now}
-        seats = [[everyone[seats[team]] for seats in self.seated] for team in range(len(self.arena.teams))]
+        seats = [[everyone[seats[team]] for seats in self.seated[:groups]] for team in range(len(self.arena.teams))]
         return seat(self.arena.teams, seats, also)
 
     def worlds_of(self, learner: str) -> slice | np.ndarray:

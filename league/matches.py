@@ -5,6 +5,7 @@ Matches come after training where both want a device (`league/share.py`); when n
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from zlib import crc32
 
 from league.config.experiment import Config
@@ -43,6 +44,12 @@ def rating_phase(config: Config, standing: Standing) -> Phase:
     return Phase(config.league, RATING, number, (), since, {"seconds": _told(max(0.0, left)), "budget": _told(budget)})
 
 
+def rating_over(config: Config, standing: Standing) -> Phase:
+    """That rating has no time left, as a row: by the last match alone a little would seem to be."""
+    phase = rating_phase(config, standing)
+    return replace(phase, until={**phase.until, "seconds": 0.0})
+
+
 def _told(seconds: float) -> float | None:
     return None if seconds == math.inf else seconds  # JSON has no infinity
 
@@ -76,7 +83,7 @@ def next_matches(config: Config, standing: Standing) -> Plan:
 def _wanted(config: Config, standing: Standing, room: int) -> list[Pair]:
     if standing.one_team:
         return _trials(config, standing)[:room]
-    frozen = {s.name: s for s in standing.snapshots}
+    frozen = {s.name: s for s in standing.snapshots if s.thinned is None}
 
     def may_meet(a: str, b: str) -> bool:
         return can_meet(frozen[a], frozen[b], standing.players)
@@ -93,7 +100,7 @@ def _wanted(config: Config, standing: Standing, room: int) -> list[Pair]:
             s.name: [o.name for o in initial_opponents(s, standing.snapshots, standing.players)]
             for s in newest_snapshots(standing)
         }
-        everyone = [s.name for s in standing.snapshots]
+        everyone = list(frozen)
         found = pairings(
             standing.ladder, everyone, quota=config.rating.quota, per_batch=room, always=first, may_meet=may_meet,
             kinds={s.name: f"roster {s.roster}" for s in standing.snapshots},
@@ -109,7 +116,8 @@ def _trials(config: Config, standing: Standing) -> list[Pair]:
     over = trained_enough(config, standing)
     quota = config.rating.final_quota if over else config.rating.quota
     newest = {s.name for s in newest_snapshots(standing)}
-    order = sorted(standing.snapshots, key=lambda s: (s.name not in newest, -s.iteration, s.name))
+    able = [s for s in standing.snapshots if s.thinned is None]
+    order = sorted(able, key=lambda s: (s.name not in newest, -s.iteration, s.name))
     found = [
         s.name for s in order if standing.ladder.tried(s.name) < (quota if s.name in newest else config.rating.quota)
     ]
@@ -156,13 +164,8 @@ def _match(config: Config, standing: Standing, pairs: Sequence[Pair], due: float
     return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record, due=due), about)
 
 
-def cut_short(config: Config, standing: Standing) -> bool:
-    """Whether rating was: a newest snapshot has not met a yardstick, or not tried alone, for the quota."""
-    quota = config.rating.quota
-    if standing.one_team:
-        return any(standing.ladder.tried(s.name) < quota for s in newest_snapshots(standing))
-    return any(
-        _episodes(standing, (s.name, other.name)) < quota
-        for s in newest_snapshots(standing)
-        for other in yardsticks(config, standing, s)
-    )
+def rating_goes_on(config: Config, standing: Standing) -> bool:
+    """Whether rating after training was broken off: it has time left, and there is something to play."""
+    if not config.workers.match or rating_phase(config, standing).until["seconds"] == 0:
+        return False
+    return is_rating(standing) or bool(next_matches(config, standing).jobs)

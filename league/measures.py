@@ -79,7 +79,7 @@ def milestones(config: "Config", standing: "Standing", player: str) -> dict[str,
     """A player's first snapshot after each milestone of its training time that it has passed."""
     found = {}
     for name, mark in config.milestones.items():
-        late = [s for s in standing.history(player) if s.seconds >= mark]
+        late = [s for s in standing.history(player) if s.seconds >= mark and s.thinned is None]
         if late:
             found[name] = late[0]
     return found

@@ -66,7 +66,8 @@ def pack(
         def watched(table: str, rows: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
             for done, row in enumerate(rows, start=1):
                 tell(table, done, None)
-                if table in moving.BLOBS and (digest := row[moving.BLOBS[table]]) is not None:
+                if moving.needs_blob(table, row):
+                    digest = row[moving.BLOBS[table]]
                     blobs.setdefault(digest, table)
                     check.blobs.add(digest)
                 try:

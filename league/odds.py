@@ -85,7 +85,9 @@ def odds(
             read, told = records(opponents, standing, learner, since).rates(names), WIN_RATE
             past, why = pfsp(read, opponents.weighting), f"by win rate, weighting {opponents.weighting}"
         case "openai_five":
-            read, told = qualities(opponents, standing, learner, names, since), "quality"
+            ever = [s.name for s in _ever_met_in(role, standing, team)]
+            of_all = dict(zip(ever, qualities(opponents, standing, learner, ever, since).tolist(), strict=True))
+            read, told = np.array([of_all[name] for name in names]), "quality"
             past, why = by_quality(read), f"softmax of qualities, learning rate {opponents.rate:g}"
         case "fixed":
             past, why = np.ones(n) / n, "always the same"
@@ -141,7 +143,10 @@ def records(opponents: Opponents, standing: Standing, learner: Player, since: in
 def qualities(
     opponents: Opponents, standing: Standing, learner: Player, names: Sequence[str], since: int = -1
 ) -> np.ndarray:
-    """(n,) OpenAI Five's qualities of the snapshots, from the learner's games against snapshots so far."""
+    """(n,) OpenAI Five's qualities of all snapshots that the learner may ever have met, from its games so far.
+
+    Once some are thinned a turn's pool is less than all that were there; who was never met until then counts as new.
+    """
     known, past = Qualities(opponents.rate), set(names)
     games = [game for game in _games(standing, learner, since) if game.pool and game.opponent in past]
     for _, played in groupby(games, key=lambda game: game.iteration):
@@ -183,6 +188,11 @@ def met_in(role: Role, opponents: Opponents, standing: Standing, team: int) -> l
     if opponents.kind == "fixed":
         rosters = {p.roster for p in standing.players if p.team == team}
         return [s for s in standing.snapshots if s.name == opponents.victim and s.roster in rosters]
+    return [s for s in _ever_met_in(role, standing, team) if s.thinned is None]
+
+
+def _ever_met_in(role: Role, standing: Standing, team: int) -> list[Snapshot]:
+    """The snapshots of those of a team's players whom the role meets, oldest first, those that are thinned too."""
     own = {p.name for p in standing.players if p.team == team and (role.meets is None or p.role in role.meets)}
     return sorted((s for s in standing.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
 

@@ -36,6 +36,7 @@ LINEAGE = (
 )  # fmt: skip
 OF_A_PAIR = 10
 """Batches of a pair that can be looked at, the newest ones: `league matches` has all."""
+LED = Column("match", led="led")
 WATCH = Column("watch", "to watch it", typed=True)
 SHORT = 12  # hexadecimal digits of a digest that tell snapshots apart
 
@@ -47,13 +48,13 @@ def version(opened: Open) -> str:
     return f"{opened.league}:{opened.store.revision(opened.league)}:{told[:SHORT]}"
 
 
-def page(opened: Open) -> Page:
-    """The page of a league as it is now."""
+def page(opened: Open, led: str = "") -> Page:
+    """The page of a league as it is now; matches lead to where its server shows them, at `led` and their number."""
     state = version(opened)  # first: what changes while we read is read again
-    return Page(f"League {opened.league}", f"Robot League, {opened.store.where}", sections(opened), state)
+    return Page(f"League {opened.league}", f"Robot League, {opened.store.where}", sections(opened, led), state)
 
 
-def sections(opened: Open) -> list[Section]:
+def sections(opened: Open, led: str = "") -> list[Section]:
     """All that is said of a league, in the order of the page."""
     shown, standing, status = opened.shown(), Standing.of(opened.store, opened.league), facts(opened, True)
     points = curve_rows(sorted(opened.points(), key=lambda p: (p.iteration, p.player)))
@@ -62,17 +63,17 @@ def sections(opened: Open) -> list[Section]:
         {**row, "steps": steps.get(row["name"])}
         for row in rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
     ]
-    played = _played(opened)
+    played = _played(opened, led)
     found = {
         ("now", "Who learns now"): _schedule(status, opened.store.now()),
         ("ladder", "Ladder"): _ladder(rows, shown),
         ("ratings", "Ratings over training"): _ratings(rows, shown),
-        ("payoff", "Payoff"): _payoff(shown, played),
+        ("payoff", "Payoff"): _payoff(shown, played, led),
         ("opponents", "Opponents now"): _opponents(opened, standing),
         ("curves", "Learning curves"): _curves(points),
         ("throughput", "Throughput"): _throughput(points, status),
         ("jobs", "Jobs and errors"): _jobs(standing, status),
-        ("matches", "Newest matches"): _matches(played),
+        ("matches", "Newest matches"): _matches(played, led),
         ("lineage", "Lineage"): _lineage(shown),
     }
     return [Section(id, title, list(parts)) for (id, title), parts in found.items()]
@@ -142,7 +143,7 @@ def _ratings(rows: Sequence[Row], shown: Shown) -> Iterator[str | Picture]:
         )
 
 
-def _payoff(shown: Shown, played: Sequence[Row]) -> Iterator[str | Picture | Rows | Pairs]:
+def _payoff(shown: Shown, played: Sequence[Row], led: str) -> Iterator[str | Picture | Rows | Pairs]:
     if shown.ladders[0].one_team:
         yield "There is one team: nobody meets anybody."
         return
@@ -161,7 +162,7 @@ def _payoff(shown: Shown, played: Sequence[Row]) -> Iterator[str | Picture | Row
             " met the most others: `league payoff --format csv` has all."
         )
     yield Picture(figures.payoff(rows, columns, scores, games), f"{told} A click on a cell shows its matches.")
-    yield _pairs(rows, columns, played)
+    yield _pairs(rows, columns, played, led)
     cells = [
         {"score %": name, **{other: 100 * x for other, x in zip(columns, line, strict=True)}}
         for name, line in zip(rows, scores.tolist(), strict=True)
@@ -239,23 +240,28 @@ def _jobs(standing: Standing, status: Facts) -> Iterator[str | Rows]:
     yield _table(rows, columns, "Jobs that wait, are worked on or were set aside")
 
 
-def _played(opened: Open) -> list[Row]:
+def _played(opened: Open, led: str) -> list[Row]:
     """The match log, newest first, with what tables for people have beside it."""
     return [
         {**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}", "created": when(row["created"]),
-         "watch": f"league watch {row['match']}" if row["recorded"] else None}
+         "watch": f"league watch {row['match']}" if row["recorded"] else None,
+         "led": f"{led}{row['match']}" if row["recorded"] and led else None}
         for row in reversed(match_rows(opened.store.matches(opened.league)))
     ]  # fmt: skip
 
 
-def _matches(played: Sequence[Row]) -> Iterator[Rows | str]:
-    yield "`league watch NUMBER` shows a match that was recorded; a click on a command copies it."
+def _matches(played: Sequence[Row], led: str) -> Iterator[Rows | str]:
+    told = "`league watch NUMBER` shows a match that was recorded; a click on a command copies it."
+    yield (
+        f"A click on the number of a match that was recorded opens it in 3D, in rerun's viewer. {told}" if led else told
+    )
     newest = played[:NEWEST]
-    columns = [*(c for c in MATCHES if c != RECORDED), PURPOSE, Column("created", "played", whole=True), WATCH]
+    columns = [LED if c == "match" else c for c in MATCHES if c != RECORDED]
+    columns += [PURPOSE, Column("created", "played", whole=True), WATCH]
     yield _table(newest, columns, f"The newest {len(newest)} of {len(played):,} batches, counted for a")
 
 
-def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row]) -> Pairs:
+def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row], led: str) -> Pairs:
     """The newest matches of each pair of a heat map."""
     heads = {"match": "match", "a": "a", "b": "b", "result": "w-d-l", "created": "played", "watch": WATCH.title}
     found: dict[str, dict[str, list[list[str]]]] = {}
@@ -265,7 +271,7 @@ def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row]) -
             if len(own) < OF_A_PAIR:
                 own.append([str(row[key] or "") for key in heads])
     name = f"Matches of a pair, counted for a, the newest {OF_A_PAIR} of each order"
-    return Pairs(rows, columns, list(heads.values()), found, name)
+    return Pairs(rows, columns, list(heads.values()), found, name, led)
 
 
 def _lineage(shown: Shown) -> Iterator[Picture | Rows | str]:

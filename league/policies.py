@@ -12,6 +12,7 @@ from arenas.errors import ArenaError
 from arenas.game import check_scripts
 from arenas.state import TeamSpec
 from storage import arrays
+from storage.errors import StorageError
 from storage.records import Snapshot
 from storage.store import Store
 
@@ -27,6 +28,8 @@ def freeze(policies: Sequence[Mapping[str, np.ndarray]]) -> bytes:
 
 def thaw(store: Store, snapshot: Snapshot, arena: Arena) -> list[Policy]:
     """A snapshot's policies, one per agent of its roster; bytes that do not verify raise DamagedBlob."""
+    if snapshot.thinned is not None:
+        raise StorageError(f"{snapshot.name} has been thinned: its policy is gone")
     data = store.blobs.get(snapshot.digest)
     if snapshot.script:
         able = check_scripts(arena, snapshot.script)

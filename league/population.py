@@ -119,9 +119,14 @@ def _of_late(standing: Standing, player: str) -> Score:
 # As it is told -------------------------------------------------------------------------------------------------------
 
 
+def ready_after(opened: "Open") -> int:
+    """Environment steps after which players are compared, and may copy each other; 0 where they never do."""
+    return opened.setting("training", "pbt", "ready", otherwise=0)
+
+
 def words(opened: "Open", standing: Standing) -> dict[str, str]:
     """For each player its hyperparameters, whom it copied last, and when it is compared again; none without any."""
-    ready = opened.setting("training", "pbt", "ready", otherwise=0)
+    ready = ready_after(opened)
     names = opened.setting("training", "pbt", "hyperparameters", otherwise=[])
     found = {}
     for player in standing.players if ready else ():

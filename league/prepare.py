@@ -50,11 +50,12 @@ def prepare(where: str, config: Config, debug: bool = False, brought: Sequence[s
     nothing has been done.
     """
     request = {"where": where, "config": configuration.dumps(config), "parent": os.getpid(), "brought": list(brought)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "league.prepare"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        stderr=None if debug else subprocess.PIPE, text=True,
-    )  # fmt: skip
-    with _ends_with_us(process):
+    with _ending_with_us() as children:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "league.prepare"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=None if debug else subprocess.PIPE, text=True,
+        )  # fmt: skip
+        children.append(process)
         out, err = process.communicate(json.dumps(request))
     answer = json.loads(out or "{}")
     if "refused" in answer:
@@ -67,14 +68,16 @@ def prepare(where: str, config: Config, debug: bool = False, brought: Sequence[s
 
 
 @contextmanager
-def _ends_with_us(process: subprocess.Popen[str]) -> Iterator[None]:
-    """Until this is over, Ctrl-C and SIGTERM end the process and this one.
+def _ending_with_us() -> Iterator[list[subprocess.Popen[str]]]:
+    """Until this is over, Ctrl-C and SIGTERM end the processes in the list, and this one.
 
     An exception would not do: Python drops one that a signal raises while, say, a module is being imported.
     """
+    children: list[subprocess.Popen[str]] = []
 
     def leave(number: int, frame: object) -> None:
-        process.kill()
+        for process in children:
+            process.kill()
         os.write(2, b"\nleague: stopped before it began; nothing was lost.\n")
         os._exit(128 + number)
 
@@ -83,7 +86,7 @@ def _ends_with_us(process: subprocess.Popen[str]) -> Iterator[None]:
     for number in before:
         signal.signal(number, leave)
     try:
-        yield
+        yield children
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -99,6 +99,14 @@ class Open:
 
         return pd.DataFrame(match_rows(self.store.matches(self.league)))
 
+    def snapshot(self, name: str) -> Snapshot:
+        """A snapshot that is there to play. Raises UnknownName, StorageError where it has been thinned."""
+        known = {s.name: s for s in self.store.snapshots(self.league)}
+        if name not in known:
+            raise UnknownName("snapshot", name, known)
+        require_whole(known[name], known.values())
+        return known[name]
+
     def snapshots(self) -> "pd.DataFrame":
         """A row per snapshot: those of no player first, then by iteration."""
         import pandas as pd
@@ -193,11 +201,25 @@ def choose(keys: Sequence[ArenaKey], arena: str | None = None, engine: str | Non
     return fitting[0] if fitting else None
 
 
+def require_whole(snapshot: Snapshot, others: Iterable[Snapshot]) -> None:
+    """Raise StorageError, with who of its player can play instead, where a snapshot has been thinned."""
+    if snapshot.thinned is None:
+        return
+    able = [s for s in others if s.player == snapshot.player and s.thinned is None]
+    near = sorted(able, key=lambda s: abs(s.iteration - snapshot.iteration))[:2]
+    instead = " or ".join(s.name for s in sorted(near, key=lambda s: s.iteration))
+    raise StorageError(
+        f"{snapshot.name} of league {snapshot.league} has been thinned: its matches count, but its policy is gone."
+        f" Take {instead} instead."
+    )
+
+
 def match_rows(matches: Iterable[Match]) -> list[Row]:
-    """See Open.matches."""
+    """See Open.matches. Who played in training is no snapshot: `blue@32+` is blue some time after blue@32."""
     return [
         {
-            "match": m.id, "a": m.a, "b": m.b, "wins": m.wins, "draws": m.draws, "losses": m.losses, "voids": m.voids,
+            "match": m.id, "a": _called(m, m.a), "b": _called(m, m.b),
+            "wins": m.wins, "draws": m.draws, "losses": m.losses, "voids": m.voids,
             "voids_a": m.voids_a, "voids_b": m.voids_b,
             "score": (m.wins + m.draws / 2) / played if (played := m.wins + m.draws + m.losses) else None,
             "seed": m.seed, "steps": m.steps, "purpose": m.purpose, "recorded": m.recording is not None,
@@ -207,6 +229,10 @@ def match_rows(matches: Iterable[Match]) -> list[Row]:
     ]  # fmt: skip
 
 
+def _called(match: Match, name: str | None) -> str | None:
+    return f"{name}+" if name and match.purpose == "training" else name
+
+
 def snapshot_rows(snapshots: Iterable[Snapshot]) -> list[Row]:
     """See Open.snapshots."""
     return [
@@ -214,7 +240,7 @@ def snapshot_rows(snapshots: Iterable[Snapshot]) -> list[Row]:
             "name": s.name, "player": s.player, "script": s.script, "origin": s.origin, "parent": s.parent,
             "initial": s.initial, "iteration": s.iteration, "steps": s.step, "seconds": round(s.seconds, 1),
             "roster": s.roster, "digest": s.digest, "arena": s.arena.arena if s.arena else None,
-            "engine": s.arena.engine if s.arena else None, "created": s.created,
+            "engine": s.arena.engine if s.arena else None, "created": s.created, "thinned": s.thinned,
         }
         for s in snapshots
     ]  # fmt: skip

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
+from arenas.cores import cores
 from league import devices, environment
 from league.config import experiment as configuration
 from league.config.experiment import Config
@@ -183,8 +184,7 @@ def _trainer(store: Store, place: Place) -> "Trainer":
     from league.examine import worlds as training_worlds
     from league.train import Trainer
 
-    cores = max(1, (os.cpu_count() or 1) // place.size)
-    torch.set_num_threads(max(1, cores // 2))  # as in a worker
+    torch.set_num_threads(max(1, cores() // place.size // 2))  # as in a worker
     on_gpus = config.training.device != "cpu" and torch.cuda.is_available()
     together, worlds = join(place.rank, place.size, place.port, on_gpus), training_worlds(config)
     arena = config.arena.build(

@@ -31,9 +31,12 @@ def chosen(opened: Open, wish: Wish) -> Match:
     if wish.match is not None:
         return _numbered(opened, wish.match)
     found = _among(opened, recorded(opened), wish)
-    if wish.upset:
-        return _upset(opened, found)
-    return _best(opened, found) if wish.best else found[-1]
+    if not (wish.upset or wish.best):
+        return found[-1]
+    found = _of_snapshots(found)
+    if not found:
+        raise StorageError("Nothing but training was recorded here: `league play` records a match of snapshots.")
+    return _upset(opened, found) if wish.upset else _best(opened, found)
 
 
 def recorded(opened: Open) -> list[Match]:
@@ -98,6 +101,7 @@ def _among(opened: Open, matches: list[Match], wish: Wish) -> list[Match]:
     players = {s.player for s in snapshots.values() if s.player}
     if wish.player is not None and wish.player not in players:
         raise UnknownName("player", wish.player, players)
+    matches = _of_snapshots(matches) if wish.between else matches
     of = {name: snapshot.player for name, snapshot in snapshots.items()}
     found = [
         m for m in matches
@@ -107,6 +111,11 @@ def _among(opened: Open, matches: list[Match], wish: Wish) -> list[Match]:
         who = " and ".join(wish.between) or wish.player
         raise StorageError(f"No match of {who} was recorded: `league matches` tells which were.")
     return found
+
+
+def _of_snapshots(matches: Sequence[Match]) -> list[Match]:
+    """Those in which snapshots met: in training they only stand for what their players had become since."""
+    return [m for m in matches if m.purpose != "training"]
 
 
 def _best(opened: Open, matches: Sequence[Match]) -> Match:

@@ -1,6 +1,6 @@
 """From a played episode to its recording: what a viewer needs, frame by frame to the episode's end."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import mujoco
@@ -14,9 +14,13 @@ from storage.records import ArenaKey, Snapshot
 
 
 def episode(
-    arena: Arena, games: Games, i: int, sides: Sequence[Snapshot], league: str, seed: int, world: int
-) -> Recording:
-    """The i-th recorded episode of a batch, which was played in `world`, with `sides` in the arena's team order."""
+    arena: Arena, games: Games, i: int, sides: Sequence[Snapshot], league: str, seed: int, world: int,
+    values: Mapping[str, np.ndarray] | None = None,
+) -> Recording:  # fmt: skip
+    """The i-th recorded episode of a batch, which was played in `world`, with `sides` in the arena's team order.
+
+    `values` are what critics made of its decisions, (decisions,) by who is judged.
+    """
     hold, decisions = arena.timing.hold, int(games.decisions[world])
     frames = jax.tree.map(lambda x: x[:decisions, :, i].reshape(decisions * hold, *x.shape[3:]), games.frames)
     teams = [team.name for team in arena.teams]
@@ -41,6 +45,7 @@ def episode(
     return Recording(
         header, arena.scene.xml, frames.time, frames.qpos, actions, rewards, scores, frames.markers, events,
         terms={**frames.rewards, **frames.shapings},
+        values={who: np.repeat(told, hold) for who, told in (values or {}).items()},
     )  # fmt: skip
 
 

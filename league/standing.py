@@ -60,7 +60,10 @@ class Standing:
             return before
         before = before or cls()
         jobs, players = store.jobs(league, ("queued", "leased", "failed")), store.players(league)
-        known = store.snapshot_count(league) == len(before.snapshots)
+        known = store.snapshot_count(league) == (
+            len(before.snapshots),
+            sum(s.thinned is not None for s in before.snapshots),
+        )
         snapshots = before.snapshots if known else store.snapshots(league)
         log = _Log.of(store, league, before, arena, Pool.of(snapshots, players))
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)

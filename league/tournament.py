@@ -2,6 +2,7 @@
 
     python -m league.tournament sumo-1v1                         # prints the table
     python -m league.tournament sumo-1v1 --episodes 500 --page   # and writes it into the arena's page
+    python -m league.tournament sumo-1v1 --pairs pusher:idle     # plays these alone, with the dice that the table has
 
 The episodes are those of a league's rating matches: the same referee plays and counts them (`league/evaluate.py`), with
 seed pairs and sides swapped where rosters are equal, in a store that is gone afterwards. A page has the table between
@@ -68,8 +69,27 @@ def pairs(sides: Sequence[dict[str, str]]) -> list[tuple[str, str | None]]:
     return [*combinations(first, 2)] if sides[0] == sides[1] else [*product(first, second)]
 
 
-def play(arena: Arena, settings: Settings, episodes: int = EPISODES, seed: int = 1) -> Tournament:
-    """Play all pairs, `episodes` each, an even number, each pair with dice of its own; says on stderr who is at it."""
+def chosen(sides: Sequence[dict[str, str]], asked: Sequence[str]) -> set[tuple[str, str | None]]:
+    """Those of `pairs` that are asked for as "a:b", in either order where rosters are equal, or "a" in an arena of one.
+
+    Raises ArenaError for what is no pair here, with those that are.
+    """
+    scripts = [{name: script for script, name in side.items()} for side in sides]
+    known = {":".join(of[x] for of, x in zip(scripts, pair, strict=False) if x): pair for pair in pairs(sides)}
+    turned = {":".join(reversed(name.split(":"))): pair for name, pair in known.items()}
+    known_too = turned | known if len(sides) == 2 and sides[0] == sides[1] else known
+    if unknown := [name for name in asked if name not in known_too]:
+        raise ArenaError(f"--pairs {' '.join(unknown)}: here there are {', '.join(known)}")
+    return {known_too[name] for name in asked}
+
+
+def play(
+    arena: Arena, settings: Settings, episodes: int = EPISODES, seed: int = 1, asked: Sequence[str] = ()
+) -> Tournament:
+    """Play all pairs, `episodes` each, an even number, each pair with dice of its own; says on stderr who is at it.
+
+    `asked` names the pairs to be played if it shall not be all, as `chosen` reads it; their dice are the same.
+    """
     config = Config(arena=settings, rating=Rating(worlds=episodes, pairings=1, record=False))
     referee = Referee(config, arena, LEAGUE)
     with tempfile.TemporaryDirectory() as folder, Store.open(folder, create=True, blobs=Path(folder, "blobs")) as store:
@@ -78,7 +98,10 @@ def play(arena: Arena, settings: Settings, episodes: int = EPISODES, seed: int =
         known = {(s.roster, s.script): s.name for s in store.snapshots(LEAGUE)}
         sides = tuple({script: known[team.roster, script] for script in arena.playable(team)} for team in arena.teams)
         matches: list[Match] = []
+        wanted = chosen(sides, asked) if asked else set(pairs(sides))
         for number, (a, b) in enumerate(pairs(sides)):
+            if (a, b) not in wanted:
+                continue
             print(f"{arena.name}: {a}{f' against {b}' if b else ''}", file=sys.stderr)
             matches += referee.play(store, RatingMatch(((a, b),), seed + number, record=False))
     ladder = Ladder([name for side in sides for name in side.values()], matches)
@@ -159,14 +182,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked.add_argument("--episodes", type=int, default=EPISODES, help=f"of each pair, an even number ({EPISODES})")
     asked.add_argument("--engine", choices=get_args(EngineName), default="c", help="physics (c)")
     asked.add_argument("--seed", type=int, default=1)
+    asked.add_argument("--pairs", nargs="+", default=(), metavar="A:B", help="play these alone (all)")
     asked.add_argument("--page", action="store_true", help="write the table into the arena's page")
     options = asked.parse_args(argv)
+    if options.pairs and options.page:
+        asked.error("--pairs: a page has the table of all pairs; leave out --pairs or --page")
     if options.episodes < 2 or options.episodes % 2:
         asked.error(f"--episodes {options.episodes}: must be even and 2 or more, half of them with sides swapped")
     for name in options.names:
         settings = arenas.settings(name)
         arena = settings.build(engine=options.engine, worlds=options.episodes)
-        text = told(play(arena, settings, options.episodes, options.seed))
+        text = told(play(arena, settings, options.episodes, options.seed, options.pairs))
         print(text)
         if options.page:
             print(write(name, text))

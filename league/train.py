@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from agents.batch import Batch
-from agents.bridge import Recalled, everywhere, team_batch, to_jax
+from agents.bridge import Recalled, everywhere, to_jax
 from agents.errors import Diverged
 from agents.happo import compare
 from agents.parallel import ALONE, Together
@@ -30,8 +30,9 @@ from league.compiled import Compiled
 from league.config.experiment import Config
 from league.ending import Ending
 from league.jobs import TrainingTurn
-from league.learners import others
+from league.learners import batch_of
 from league.lineup import Lineup
+from league.recorder import Recorder
 from league.squad import Counters, Squad
 from storage.records import ArenaKey, CurvePoint, Lease, Meeting, Player
 from storage.store import Store
@@ -71,6 +72,7 @@ class Trainer:
         self._recalled: dict[str, Recalled] = {}  # of players: what their critics remember of the group's worlds
         self._points: list[CurvePoint] = []  # of this turn
         self._meetings: list[Meeting] = []  # of this turn: what came of the games of each learner against each opponent
+        self._recorder = Recorder(config, self.squad)
         self._begun_anew = 0.0  # share of the worlds whose episodes were broken off for this turn's opponents
         stagger = config.training.stagger
         self._reset, self._restart = make_reset(arena, stagger), make_restart(arena, stagger)
@@ -91,6 +93,7 @@ class Trainer:
         moved = squad.restore(store, turn)
         if squad.copy(store, turn) or moved:
             self._worlds.pop(turn.group, None)  # they belong to a history that is not the store's
+        self._recorder.begin()
         self._ending = Ending(squad, turn, store)
         if turn.iterations == 0:
             self._ending.begin(store)
@@ -111,6 +114,8 @@ class Trainer:
             elapsed = self.together.first(time.monotonic() - began)
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
+            if self._recorder.due(turn):  # which is no time of training
+                began += self._recorder.record(store, turn, lineup, self._crews(lineup, 1), self._judges(turn, lineup))
             yield Progress({name: squad.counters[name] for name in turn.learners}, steps / elapsed, points)
             if self._ending.reached(self._points):
                 break
@@ -136,7 +141,7 @@ class Trainer:
         store.finish(
             lease, bases={name: turn.bases[name] for name in learnt}, checkpoints=checkpoints,
             snapshots=self._ending.snapshots(store, key), curves=self._points, meetings=self._meetings,
-            keep=self.config.storage.checkpoints,
+            matches=self._recorder.matches, keep=self.config.storage.checkpoints,
         )  # fmt: skip
         self._points, self._meetings = [], []
         self.squad.written(checkpoints)
@@ -155,9 +160,8 @@ class Trainer:
 
         Raises PlayerDiverged. Where no world stayed sound nobody can learn: then it is whose robots alone went bad.
         """
-        resting = self.squad.resting(turn) if self.config.training.resting_critics else []
-        resting = [name for name in resting if lineup.teaches(name)]
-        names = [*turn.learners, *resting]
+        names = self._judges(turn, lineup)
+        resting = names[len(turn.learners) :]
         batches = [self._batch(name, trajectory, lineup) for name in names]
         figures = {
             name: outcomes(trajectory, self.squad.players[name].team, lineup.worlds_of(name), self.together.add)
@@ -180,6 +184,11 @@ class Trainer:
             raise PlayerDiverged(name, diverged[name])
         return figures
 
+    def _judges(self, turn: TrainingTurn, lineup: Lineup) -> list[str]:
+        """Players whose critics learn in the turn: the learners, then who rests and is followed."""
+        resting = self.squad.resting(turn) if self.config.training.resting_critics else []
+        return [*turn.learners, *(name for name in resting if lineup.teaches(name))]
+
     def _update(self, name: str, batch: Batch, rests: bool) -> dict[str, float] | Diverged:
         """A player's update, of its critic alone where it rests; it touches nothing that another player has."""
         learner = self.squad.learners[name]
@@ -199,11 +208,9 @@ class Trainer:
             self._recalled[name] = everywhere(remembered, lineup.worlds_of(name), lineup.worlds)
 
     def _batch(self, name: str, trajectory: Trajectory, lineup: Lineup) -> Batch:
-        team, sees = self.squad.players[name].team, self.config.learner.critic_input
-        return team_batch(
-            trajectory, self.arena.teams[team], team, lineup.worlds_of(name), self.squad.shaping(name),
-            others=others(self.config, self.arena, team), privileged=sees == "privileged",
-            common=self.arena.teams if sees == "same" else (), recalled=self._recalled.get(name, ()),
+        return batch_of(
+            self.config, self.arena, self.squad.players[name], trajectory, lineup.worlds_of(name),
+            self.squad.shaping(name), self._recalled.get(name, ()),
         )  # fmt: skip
 
     def _count(
@@ -221,9 +228,9 @@ class Trainer:
         }  # fmt: skip
         return CurvePoint(self.squad.players[name].league, name, now.iteration, now.steps, now.seconds, values)
 
-    def _crews(self, lineup: Lineup) -> dict[str, Crew]:
+    def _crews(self, lineup: Lineup, groups: int | None = None) -> dict[str, Crew]:
         now = {name: to_jax(self.squad.learners[name].policies()) for name in lineup.turn.present if name}
-        return lineup.crews(now, self._shapes)
+        return lineup.crews(now, self._shapes, groups)
 
     def _architectures(self) -> dict[str, list]:
         """Actors by agent of every player of the agent's team: whoever sits there, the compiled shape is the same."""

@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from arenas.cores import cores
 from league import devices, environment
 from league.config import experiment as configuration
 from league.jobs import RatingMatch, Task, TrainingTurn, decode
@@ -77,7 +78,7 @@ def work(post: Post) -> None:
 
     # Learning takes turns with physics, whose threads it would wake and wait for: on two cores an update takes 0.39 s
     # with one thread and 0.47 s with two, and the rollout after it 1.5 s instead of 1.9 s.
-    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
+    torch.set_num_threads(max(1, cores() // 2))
     try:
         with Store.open(post.store, blobs=post.blobs) as store:
             Worker(store, config, post, stopping).run()

@@ -41,6 +41,13 @@ def davidson(d: np.ndarray, log_nu: float) -> Outcome:
     return Outcome(log_p, win + draw / 2, draw, variance, draw * (loss - win) / 2, draw * (win + loss))
 
 
+def expected_score(d: np.ndarray, nu: float) -> np.ndarray:
+    """The score of `davidson` alone, for many differences at once: win, draw, loss are 1 : νh : h², h = exp(-|d|/2)."""
+    h = np.exp(-np.abs(d) / 2)
+    stronger = (1 + nu / 2 * h) / (1 + nu * h + h * h)
+    return np.where(d < 0, 1 - stronger, stronger)
+
+
 @dataclass(frozen=True, eq=False)
 class Likelihood:
     """The penalised likelihood; parameters are θ (P), γ and log ν, of which `free` are fitted.
@@ -104,11 +111,10 @@ class Likelihood:
         strength, mixed = n * terms.score_variance, n * terms.covariance
         virtual = prior.games * even_variance(self._virtual(x))
         H = np.zeros((P + 2, P + 2))
-        for first, second, weight in ((self.home, self.away, strength), (prior.first, prior.second, virtual)):
-            H[:P, :P] += np.bincount(first * P + second, weight, P * P).reshape(P, P)
-        H[:P, :P] += H[:P, :P].T.copy()
+        met = np.bincount(self._places, np.concatenate([strength, virtual]), P * P).reshape(P, P)
+        np.add(met, met.T, out=H[:P, :P])
         diagonal = H[:P, :P].sum(1)
-        H[:P, :P] *= -1
+        np.negative(H[:P, :P], out=H[:P, :P])
         for column, weight in ((P, strength), (P + 1, mixed)):
             H[:P, column] = self._spread(self.home, self.away, weight)
         H[P:, :P] = H[:P, P:].T
@@ -124,6 +130,14 @@ class Likelihood:
         if self.size and not self.prior.average:
             pinned[:-2, :-2] += 1 / self.size
         return pinned
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """Where in a (P, P) table the two of each directed pair, and then of each virtual one, meet."""
+        first, second = (
+            np.concatenate(ends) for ends in ((self.home, self.prior.first), (self.away, self.prior.second))
+        )
+        return first * self.size + second
 
     @cached_property
     def _games(self) -> np.ndarray:

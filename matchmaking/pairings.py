@@ -108,10 +108,12 @@ def _able(
 
 def _parts(payoff: Payoff) -> np.ndarray:
     """(P,) A number for each snapshot, the same for those whom games connect."""
-    parts = np.arange(len(payoff.names))
-    for i, j in np.argwhere(np.triu(payoff.games) > 0):
-        if parts[i] != parts[j]:
-            parts[parts == parts[j]] = parts[i]
+    met, parts = payoff.games > 0, np.full(len(payoff.names), -1)
+    for i in range(len(parts)):
+        reached = np.array([i]) if parts[i] < 0 else np.zeros(0, int)
+        while len(reached):
+            parts[reached] = i
+            reached = np.flatnonzero(met[reached].any(0) & (parts < 0))
     return parts
 
 

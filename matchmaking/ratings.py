@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matchmaking import bounds, priors
-from matchmaking.likelihood import Likelihood, Outcome, davidson, maximise
+from matchmaking.likelihood import Likelihood, Outcome, davidson, expected_score, maximise
 from matchmaking.payoff import PAIR_SCORES, Payoff, quantile
 from matchmaking.priors import Prior
 
@@ -75,7 +75,8 @@ class Ratings:
 
     def expected_scores(self) -> np.ndarray:
         """(P, P) expected score of i against j, sides swapped halfway."""
-        return self._expected(self.strength[:, None] - self.strength)
+        first = self._on_side(self.strength[:, None] - self.strength, self.side_advantage)
+        return (first + 1 - first.T) / 2
 
     def variances(self) -> np.ndarray:
         """(P, P) variance of the difference in strength between i and j, in Elo²."""
@@ -109,10 +110,11 @@ class Ratings:
         return {name: i for i, name in enumerate(self.names)}
 
     def _expected(self, gap: np.ndarray) -> np.ndarray:
-        return (self._on_side(gap, self.side_advantage) + self._on_side(gap, -self.side_advantage)) / 2
+        first = self._on_side(gap, self.side_advantage)  # and on the other side what the other one leaves
+        return (first + 1 - self._on_side(-gap, self.side_advantage)) / 2
 
     def _on_side(self, gap: np.ndarray, side: float) -> np.ndarray:
-        return davidson((gap + side) / ELO, math.log(self.draw) if self.draw else -math.inf).score
+        return expected_score((gap + side) / ELO, self.draw)
 
 
 def fit(

@@ -22,18 +22,26 @@ def dash(args: list[str]) -> int:
     )
     options = parse(DashOptions, args, "dash", what)
     from dashboards import server
+    from dashboards.matches import Found
     from league import overview
+    from league.cast import cast
     from league.query import Open
+    from league.recorded import Wish, chosen, load
 
     with options.open() as opened, server.bound(options.port) as listener:
         # Without a name it is the league that was run last, which another one may become.
         def now() -> Open:
             return Open(opened.store, options.league)
 
+        def found(number: int) -> Found:
+            match = chosen(now(), Wish(number))
+            recording, _ = load(now(), match)
+            return recording, cast(now(), match, recording.header.sides)
+
         url = f"http://{server.HOST}:{options.port}/"
         print(f"League {opened.league}: {url} (Ctrl-C ends it; the league does not notice)", flush=True)
         try:
-            server.serve(listener, lambda: overview.version(now()), lambda: overview.page(now()))
+            server.serve(listener, lambda: overview.version(now()), lambda: overview.page(now(), "match/"), found)
         except KeyboardInterrupt:
             return 0
     return 0

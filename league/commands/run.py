@@ -19,7 +19,7 @@ from league.config.schema import ConfigError
 from league.daemon import DaemonError
 from league.jobs import TrainingTurn
 from league.liveness import leader, place
-from league.matches import cut_short
+from league.matches import rating_goes_on
 from league.plan import spent, trained_enough
 from league.prepare import prepare
 from league.standing import Standing
@@ -53,7 +53,7 @@ def run(args: list[str]) -> int:
             return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
         standing = _tried_again(Standing.of(store, config.league, recent=config.budget.window))
         config = _with_budget(asked, standing)
-        if trained_enough(config, standing) and not (config.workers.match and cut_short(config, standing)):
+        if trained_enough(config, standing) and not rating_goes_on(config, standing):
             print(f"{summary(config, standing)}\n\n{_had_enough(config)}")
             return 0
     return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
@@ -74,7 +74,7 @@ def _walked(store: Store, config: Config) -> str | None:
     last = configuration.stage(config, len(config.stages) - 1)
     standing = curriculum.standing(store, last)
     why = curriculum.ended(last, standing)
-    if why is None or (last.workers.match and cut_short(last, standing)):
+    if why is None or rating_goes_on(last, standing):
         return None
     more = f"`league run --league {last.league}` goes on with the last stage without a budget"
     return f"{summary(last, standing)}\n\nThe last stage of league {config.league} has ended: {why}; {more}."

@@ -36,6 +36,7 @@ PLAYERS = (
     Column("trained", whole=True), "group",
 )  # fmt: skip
 SCORE = Column("course", "score", whole=True)
+LOCKED = "The store is locked by some process, and all others wait: one that was stopped or hangs in a write?"
 RECENT = 200
 """Iterations over which a terminal shows the score in training."""
 WORKERS = (
@@ -113,6 +114,7 @@ def report(opened: Open, whole_errors: bool = False, lit: bool = False) -> str:
     parts = [
         *_listed("Curriculum", found.stages),
         f"League {found.league}: {found.runs or 'stopped'}\nJobs: {found.jobs}",
+        *([LOCKED] if found.runs and opened.store.locked() else []),
         render(players, columns, lit=lit),
         *_listed("Training budget", progress),
         found.share,
@@ -206,6 +208,8 @@ def _lives(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Ch
 
 def _population(opened: Open, players: Sequence[Player], checkpoints: Mapping[str, Checkpoint]) -> list[str]:
     """Who has which hyperparameters, and has copied whom."""
+    if not population.ready_after(opened):
+        return []
     standing = Standing(players, opened.store.snapshots(opened.league), checkpoints)
     return [f"{name}: {told}" for name, told in population.words(opened, standing).items()]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from dashboards.tables import Column, Format, render
 from league.commands.options import Listing, parse
 from league.query import curve_rows, match_rows, snapshot_rows
-from league.rated import Row
+from league.rated import Row, when
 from league.words import wrapped
 
 NEWEST = 30
@@ -69,8 +69,9 @@ def snapshots(args: list[str]) -> int:
     with options.open() as opened:
         rows = snapshot_rows(opened.store.snapshots(opened.league))
     if options.format == "table":
-        rows = [{**row, "digest": row["digest"][:12]} for row in rows]
-    print(render(rows, SNAPSHOTS if options.format == "table" else (), options.format))
+        rows = [{**row, "digest": row["digest"][:12], "thinned": when(row["thinned"] or 0) or ""} for row in rows]
+    shown = [*SNAPSHOTS, *(["thinned"] if any(row["thinned"] for row in rows) else [])]
+    print(render(rows, shown if options.format == "table" else (), options.format))
     return 0
 
 

@@ -11,6 +11,7 @@ from league.commands.verify import lasts
 from league.config.durations import seconds
 from league.config.schema import ConfigError
 from league.config.sections import Storage
+from league.history import may_go
 from league.liveness import leader, processes
 from league.query import Open
 from storage.places import are_apart, blobs_place, database_url
@@ -31,6 +32,9 @@ class ThinOptions:
     """Of each league so many of the newest recordings stay (none: all); the matches stay in the log."""
     recordings_for: str | None = field(default=None, metadata={"valid": lasts})
     """Recordings that are older go, e.g. 30d (none: none for their age)."""
+    snapshots: int | None = field(default=None, metadata={"low": 1})
+    """Of each player so many snapshots of every doubling of its iterations stay (none: all), and those that are needed;
+    the others keep their matches and ratings, and never play again."""
     age: str = field(default="1d", metadata={"valid": lasts})
     """Nothing younger goes, whatever it is."""
     dry_run: bool = False
@@ -48,8 +52,8 @@ class ThinOptions:
 def thin(args: list[str]) -> int:
     """Remove what nobody needs."""
     what = (
-        "Remove blobs that no row names, what killed processes left, old checkpoints and, if asked, old recordings."
-        " Never what a row still needs. The league may run meanwhile."
+        "Remove blobs that no row names, what killed processes left, old checkpoints and, if asked, old recordings and"
+        " snapshots. Never what a row still needs. The league may run meanwhile."
     )
     options = parse(ThinOptions, args, "thin", what)
     progress, age = Progress("thinning"), seconds(options.age)
@@ -71,7 +75,8 @@ def thin(args: list[str]) -> int:
     else:
         print(
             f"Removed {done.bytes:,} bytes: {done.blobs:,} blobs and {done.files:,} files of killed writers; forgot"
-            f" {done.checkpoints:,} checkpoints, {done.recordings:,} recordings and {done.workers:,} processes."
+            f" {done.checkpoints:,} checkpoints, {done.recordings:,} recordings and {done.workers:,} processes; thinned"
+            f" {done.snapshots:,} snapshots."
         )
     return 0
 
@@ -83,6 +88,7 @@ def _rows(waste: Waste) -> list[dict[str, Any]]:
     """What can go, as rows. Bytes stand with the blobs, which several rows may have named."""
     found = [
         ("checkpoints", len(waste.checkpoints), None, "each player has as many newer ones as stay"),
+        ("snapshots", len(waste.snapshots), None, "others near them stay; their matches stay, and count"),
         ("recordings", len(waste.recordings), None, "older than those that stay; the matches stay"),
         ("blobs", len(waste.blobs), sum(e.bytes for e in waste.blobs), "no row names them, or none will after that"),
         ("files", len(waste.files), sum(e.bytes for e in waste.files), "writers that were killed left them"),
@@ -99,7 +105,8 @@ def _policy(store: Store, options: ThinOptions, age: float) -> Policy:
         for name in leagues
     }
     span = None if options.recordings_for is None else seconds(options.recordings_for)
-    return Policy(age, keep, options.recordings, span)
+    chosen = {} if options.snapshots is None else {n: may_go(Open(store, n), options.snapshots) for n in leagues}
+    return Policy(age, keep, options.recordings, span, chosen)
 
 
 def _require_rest(store: Store, age: float) -> None:

@@ -38,20 +38,21 @@ class VerifyOptions:
 
 
 def verify(args: list[str]) -> int:
-    """Look through a store; 0 where nothing is missing or corrupt, 1 where something is."""
+    """Look through a store; 0 where nothing is missing, corrupt or orphaned, 1 where something is."""
     what = "Read every row, blob and recording of a store: what is missing, corrupt or orphaned. Changes nothing."
     options = parse(VerifyOptions, args, "verify", what)
     progress = Progress("verifying")
     report = examine(options.store, options.blobs, seconds(options.age), progress.tell, references)
     progress.end()
     print(_json(report) if options.format == "json" else _table(report))
-    return 1 if report.damaged else 0
+    return 1 if report.findings else 0
 
 
 def _json(report: Report) -> str:
     told: dict[str, Any] = {
         "store": report.where, "rows": report.rows, "blobs": report.blobs, "recordings": report.recordings,
-        "orphans_told": report.told, "findings": [finding._asdict() for finding in report.findings],
+        "orphans_told": report.told, "dropped": report.dropped, "dropped_bytes": report.dropped_bytes,
+        "findings": [finding._asdict() for finding in report.findings],
     }  # fmt: skip
     return json.dumps(told, indent=2)
 
@@ -61,6 +62,9 @@ def _table(report: Report) -> str:
         f"{report.where}: {report.rows:,} rows and {report.blobs:,} blobs that they name, {report.recordings:,} of them"
         " recordings."
     ]
+    if report.dropped:
+        what = f"{report.dropped:,} blobs ({report.dropped_bytes:,} bytes)"
+        parts.append(f"{what} of what is no longer kept, such as old checkpoints, can go: `league thin` removes them.")
     if not report.told:
         parts.append("Not all rows could be read, so nobody knows which blobs are orphaned.")
     if not report.findings:

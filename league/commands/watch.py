@@ -136,7 +136,8 @@ def _follow(options: WatchOptions) -> int:
 def told(match: Match, recording: Recording) -> str:
     """A match in a line."""
     header = recording.header
-    return f"Match {match.id}: {' against '.join(header.sides)}, {header.outcome}, {recording.time[-1]:.1f} s"
+    what = "Training" if match.purpose == "training" else "Match"
+    return f"{what} {match.id}: {' against '.join(header.sides)}, {header.outcome}, {recording.time[-1]:.1f} s"
 
 
 def _shoot(options: WatchOptions, recording: Recording, who: Sequence[Performer]) -> None:

@@ -118,8 +118,8 @@ def unknown(key: Key, options: Iterable[str]) -> ConfigError:
     names = list(options)
     near = [name for name in names if name.rpartition(".")[2] == key[-1]]  # without its table, or in a wrong one
     near = near or difflib.get_close_matches(".".join(key), names, 1)
-    meant = f"did you mean --{' or --'.join(near)}? " if near else ""
-    return ConfigError(key, f"unknown option --{dotted(key)}: {meant}(--help lists all)")
+    meant = f"did you mean {' or '.join(map(_spelled, near))}? " if near else ""
+    return ConfigError(key, f"unknown option {_spelled(dotted(key))}: {meant}(--help lists all)")
 
 
 def every(cls: type, base: Any, prefix: Key = ()) -> Iterator[Key]:
@@ -156,5 +156,9 @@ def as_flag(error: ConfigError) -> ConfigError:
     name = dotted(error.key)
     if not name or not error.message.startswith(f"{name} "):
         return ConfigError(error.key, error.message)
-    flag = f"--{name.replace('_', '-')}"  # as --help writes it
-    return ConfigError(error.key, flag + error.message.removeprefix(name))
+    return ConfigError(error.key, _spelled(name) + error.message.removeprefix(name))
+
+
+def _spelled(name: str) -> str:
+    """A setting as a flag, as --help writes it."""
+    return f"--{name.replace('_', '-')}"

@@ -81,6 +81,9 @@ class Training:
     """A snapshot at iterations 1, 2, 4, 8, ...; more of them in between with 2 or more."""
     resting_critics: bool = True
     """In leapfrog, critics and value normalisers of resting teams learn on, lest they be stale at their turn."""
+    record_every: int | None = field(default=None, metadata={"low": 0})
+    """Learning iterations between two recordings of an episode as it is played while players learn (0: none are made;
+    none: 100 on a CPU, and none are made elsewhere)."""
     stagger: bool = True
     """First episodes begin at different times, so that long ones do not all end together."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
