@@ -1,13 +1,18 @@
 import os
+import secrets
 import shutil
+from collections.abc import Iterator
 from typing import NoReturn
 
 import pytest
+import sqlalchemy as sa
 
 os.environ.setdefault("NPROC", "4")  # XLA's threads: with two of them MJX in JAX can hang, see arenas/engines.py
 
 from dashboards.errors import ViewerError
 from dashboards.headless import NO_DRIVER, headless_viewer
+
+SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
 
 
 @pytest.fixture(scope="session")
@@ -38,6 +43,27 @@ def browser():
         running = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
         yield running
         running.close()
+
+
+def server_place() -> Iterator[str]:
+    """A URL of the test server under which everything goes into a new schema, dropped at the end."""
+    if SERVER is None:
+        pytest.skip("no PostgreSQL server: LEAGUE_TEST_DB is not set")
+    schema = f"league_test_{secrets.token_hex(6)}"
+    url = sa.make_url(SERVER).set(drivername="postgresql+psycopg")
+    server = sa.create_engine(url)
+    with server.begin() as db:
+        db.execute(sa.schema.CreateSchema(schema))
+    yield url.update_query_dict({"options": f"-csearch_path={schema}"}).render_as_string(hide_password=False)
+    with server.begin() as db:
+        db.execute(sa.schema.DropSchema(schema, cascade=True))
+    server.dispose()
+
+
+@pytest.fixture
+def server_url() -> Iterator[str]:
+    """A place for a store on PostgreSQL; the test is skipped where there is none."""
+    yield from server_place()
 
 
 def _without(switch: str, why: str) -> NoReturn:

@@ -4,12 +4,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
 import pytest
 
+from arenas.arena import Arena
+from league.config import presets
 from storage.errors import StorageError
 from storage.store import Store
 
@@ -65,7 +67,7 @@ def wait_for(folder: Path, what: Callable[[Store], T], seconds: float = 300) -> 
 def tiny_league(tmp_path_factory):
     """The folder in which a tiny league has been run to the end of its budget, and what it printed."""
     folder = tmp_path_factory.mktemp("tiny")
-    done = call("run", *TINY, "--steps", "33000", "--budget.rate", "60s", cwd=folder)
+    done = call("run", *TINY, "--steps", "33000", "--budget.rate", "30s", cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
 
@@ -76,3 +78,29 @@ def port() -> int:
     with socket.socket() as asked:
         asked.bind(("127.0.0.1", 0))
         return asked.getsockname()[1]
+
+
+@pytest.fixture(scope="session")
+def duel() -> Arena:
+    """The arena of the preset duel on the C engine, built once."""
+    return presets.duel().arena.build(engine="c")
+
+
+@pytest.fixture
+def duel_store(tmp_path, duel) -> Iterator[Store]:
+    """A store with a league in that arena whose players have yet to take their first turn."""
+    from tests.league.turns import new_store
+
+    with new_store(tmp_path / "store", duel) as store:
+        yield store
+
+
+@pytest.fixture
+def packed(tmp_path) -> Path:
+    """The archive of a league with something in every table, beside the store that it came from."""
+    from league import moving
+    from tests.league.packs import league_of
+
+    with league_of(tmp_path / "source") as store:
+        moving.pack(store, tmp_path / "cup.zip")
+    return tmp_path / "cup.zip"

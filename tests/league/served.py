@@ -47,11 +47,11 @@ class Served:
             assert time.monotonic() < deadline
             time.sleep(0.05)
 
-    def ask(self, path: str, method: str = "GET", **headers: str) -> Answer:
+    def ask(self, path: str, method: str = "GET", encoding: str = "utf-8", **headers: str) -> Answer:
         with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)) as connection:
             connection.request(method, path, headers=headers)
             answer = connection.getresponse()
-            return Answer(answer.status, answer.headers, answer.read().decode())
+            return Answer(answer.status, answer.headers, answer.read().decode(encoding))
 
     def page(self, path: str = "/") -> Markup:
         answer = self.ask(path)

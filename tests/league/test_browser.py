@@ -5,7 +5,9 @@ from collections.abc import Iterator
 import pytest
 
 from league.cli import main
+from storage.recording import to_bytes
 from storage.store import Store
+from tests.dashboards.cars import cars
 from tests.league.leagues import filled, finish, match
 from tests.league.served import Served
 
@@ -18,7 +20,7 @@ expect.set_options(timeout=60_000)  # machines that do other things too
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     with filled(folder / "league-data") as store:
-        film = store.blobs.put(b"film")
+        film = store.blobs.put(to_bytes(cars()))
         finish(store, matches=[match("blue@1", "red@1", 48, 16), match("red@1", "blue@1", 8, 24, recording=film)])
         finish(store, matches=[match("blue@4", "red@4", 48, 16), match("blue@4", "blue@0", 60, 4)])
     return folder
@@ -114,6 +116,13 @@ def test_a_pair_is_chosen_by_keyboard_and_its_match_copied(seen, folder):
     assert rows.nth(1).get_by_role("cell").all_text_contents()[:4] == ["2", "red@1", "blue@1", "8-0-24"]
     assert rows.nth(2).get_by_role("cell").all_text_contents()[:4] == ["1", "blue@1", "red@1", "48-0-16"]
     seen.tab.keyboard.press("Tab")  # the table, which can be scrolled
+    seen.tab.keyboard.press("Tab")
+    with seen.context.expect_page() as opened:
+        seen.tab.keyboard.press("Enter")
+    with opened.value.expect_response(lambda answer: answer.url.endswith("/match/2.rrd"), timeout=120_000) as drawn:
+        pass
+    assert drawn.value.status == 200  # rerun's viewer may read it
+    opened.value.close()
     seen.tab.keyboard.press("Tab")
     seen.tab.keyboard.press("Enter")
     expect(seen.tab.get_by_role("status")).to_have_text("Copied: league watch 2")

@@ -1,5 +1,6 @@
 """The command line tried as a clumsy user would, in processes of their own where that is what is tested."""
 
+import os
 import signal
 import subprocess
 import time
@@ -134,26 +135,40 @@ def test_ctrl_c_before_a_league_has_begun_ends_it_at_once_and_leaves_nothing(wai
     process = subprocess.Popen(
         command("run", *TINY), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )  # fmt: skip
-    if wait_for == "interpreter":
-        while "storage" not in _mapped(process.pid):
-            time.sleep(0.01)
-    while wait_for == "preparation" and not _children(process.pid):
+    while wait_for == "interpreter" and not _knows_databases(process.pid):
         time.sleep(0.01)
+    while wait_for == "preparation" and not _preparing(process.pid):
+        time.sleep(0.01)
+    for child in _preparing(process.pid):
+        os.kill(child, signal.SIGSTOP)  # it would end by itself once its parent has gone, and now only if it is killed
     children = _children(process.pid)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in err
     assert not list(folder.iterdir())
-    assert not any(_runs(child) for child in children)
+    _wait_for_the_end_of(children)
 
 
-def _mapped(pid: int) -> str:
-    """ "storage" when the process has come so far that it has the database's library; else nothing."""
+def _knows_databases(pid: int) -> bool:
+    """Whether a process has come so far that it has the library of databases."""
     try:
-        return "storage" if "sqlalchemy" in Path(f"/proc/{pid}/maps").read_text() else ""
+        return "sqlalchemy" in Path(f"/proc/{pid}/maps").read_text()
     except OSError:
-        return ""
+        return False
+
+
+def _preparing(pid: int) -> list[int]:
+    """The child that prepares a league, once it has come so far that its parent surely waits for it."""
+    return [child for child in _children(pid) if _is_preparation(child) and _knows_databases(child)]
+
+
+def _is_preparation(pid: int) -> bool:
+    """Whether that is what a process is; one that has only been forked still has its parent's command line."""
+    try:
+        return b"league.prepare" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
 
 
 def _children(pid: int) -> list[int]:
@@ -165,6 +180,18 @@ def _runs(pid: int) -> bool:
     """Whether a process is alive and no zombie."""
     state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True).stdout.strip()
     return bool(state) and not state.startswith("Z")
+
+
+def _wait_for_the_end_of(pids: list[int]) -> None:
+    """Until none of them runs: one that was killed is there for a moment after whoever killed it has gone."""
+    deadline = time.monotonic() + 60
+    while left := [pid for pid in pids if _runs(pid)]:
+        if time.monotonic() > deadline:
+            told = subprocess.run(["ps", "-o", "pid,stat,args", "-p", ",".join(map(str, left))], capture_output=True)
+            for pid in left:
+                os.kill(pid, signal.SIGKILL)
+            pytest.fail(f"these have not ended:\n{told.stdout.decode()}")
+        time.sleep(0.01)
 
 
 def test_a_league_in_the_background_leads_before_that_is_said_and_stops_when_asked(folder):

@@ -2,10 +2,16 @@
 
 import socket
 from pathlib import Path
+from urllib.error import URLError
+from urllib.parse import unquote
+from urllib.request import urlopen
 
 import pytest
+import rerun as rr
 
+from storage.recording import to_bytes
 from storage.store import Store
+from tests.dashboards.cars import cars
 from tests.league.conftest import call
 from tests.league.leagues import filled, finish, match
 from tests.league.served import Served
@@ -70,6 +76,41 @@ def test_nothing_can_be_changed_and_nobody_else_can_read_it(served, folder):
         assert store.revision("cup") == before
     listening = Path(f"/proc/{served.process.pid}/net/tcp").read_text()
     assert f"0100007F:{served.port:04X} 00000000:0000 0A" in listening
+
+
+def test_a_match_opens_in_a_viewer_that_may_read_it_and_nobody_else(served, folder, tmp_path):
+    with Store.open(folder / "league-data") as store:
+        finish(store, matches=[match("blue@4", "red@4", 2, 0, recording=store.blobs.put(to_bytes(cars())))])
+    links = Markup(served.ask("/main").body).links
+    assert "match/2" in links
+    assert "match/1" not in links  # it was not recorded
+    assert (
+        served.ask("/match/2.rrd", encoding="latin-1").headers["Access-Control-Allow-Origin"] is None
+    )  # there is no viewer yet
+
+    answer = served.ask("/match/2")
+    viewer, _, about = answer.headers["Location"].partition("/?url=")
+    assert answer.status == 303
+    assert unquote(about.partition("&")[0]) == f"http://127.0.0.1:{served.port}/match/2.rrd"
+    assert b"<canvas" in urlopen(viewer).read()
+    assert served.ask("/match/2").headers["Location"] == answer.headers["Location"]  # the same one
+    file = served.ask("/match/2.rrd", encoding="latin-1")
+    assert file.headers["Access-Control-Allow-Origin"] == viewer
+    (tmp_path / "match.rrd").write_bytes(file.body.encode("latin-1"))
+    (found,) = rr.chunk.RrdReader(tmp_path / "match.rrd").recordings()
+    assert found.application_id == "robot-league"
+
+    for path, says in (("/match/1", "Match 1 was not recorded; recorded near it: 2."), ("/match/9.rrd", "no match 9")):
+        told = served.ask(path)
+        assert (told.status, told.body.count("\n")) == (404, 1)
+        assert says in told.body
+    for path in ("/match/2", "/match/2.rrd"):
+        assert served.ask(path, **{"Sec-Fetch-Site": "cross-site"}).status == 403
+    for path in ("/match/-2", "/match/..%2f2.rrd", "/match/2.rrd/..", "/match/", "/match/" + 5000 * "9"):
+        assert served.ask(path).status == 404
+    assert served.stop() == 0
+    with pytest.raises(URLError):
+        urlopen(viewer)
 
 
 def refused(folder, *args: str) -> str:

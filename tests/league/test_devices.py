@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+import arenas.cores
 from league import devices
 
 
@@ -40,6 +41,6 @@ def test_they_are_counted_as_the_driver_lists_them(monkeypatch, tmp_path):
 def test_of_a_cpu_all_cores_are_one_device_and_of_a_gpu_every_second_counts(monkeypatch):
     monkeypatch.setattr(devices.time, "process_time", lambda: 6.0)
     monkeypatch.setattr(devices.time, "monotonic", lambda: 100.0)
-    monkeypatch.setattr(devices.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(arenas.cores, "cores", lambda: 4)
     assert devices.used("cpu") == 1.5
     assert devices.used("gpu") == 100.0

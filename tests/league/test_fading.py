@@ -14,7 +14,7 @@ from league.examine import examine
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage import arrays
-from tests.league.test_train import LEAGUE, ends, new_store, settings, turns
+from tests.league.turns import LEAGUE, ends, new_store, settings, turns
 
 PENNIES = arenas.settings("matching-pennies")
 

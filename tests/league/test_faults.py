@@ -11,12 +11,13 @@ import pytest
 from storage.store import Store
 from tests.league.conftest import ENVIRONMENT, PUCKS, call, start, wait_for
 
+pytestmark = pytest.mark.slow
+
 
 def blob(folder: Path, digest: str) -> Path:
     return folder / "league-data" / "blobs" / digest[:2] / digest[2:]
 
 
-@pytest.mark.slow
 def test_a_damaged_snapshot_is_set_aside_with_its_reason_and_the_league_goes_on(tmp_path):
     first = start("run", *PUCKS, "--steps", "3000", "--workers.match", "0", cwd=tmp_path)
     assert first.wait(timeout=540) == 0

@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from league import heirs
 from storage.store import Store
 from tests.league.conftest import call
@@ -11,6 +13,7 @@ PENNIES = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_networks_that_a_player_does_not_have_are_refused_before_anything_is_written(tmp_path):
     first = call("run", *PENNIES, "--training.worlds", "16", "--steps", "512", cwd=tmp_path)
     assert first.returncode == 0, first.stderr

@@ -131,6 +131,10 @@ def test_a_switch_is_turned_off_in_every_way(off):
         (("--learner.lr", "fast"), '--learner.lr = "fast": expected a number'),
         (("--learner.lr=",), '--learner.lr = "": expected a number'),
         (("--training.wrlds", "9"), "unknown option --training.wrlds: did you mean --training.worlds?"),
+        (
+            ("--training.snapshots-per-doublng", "9"),
+            "unknown option --training.snapshots-per-doublng: did you mean --training.snapshots-per-doubling?",
+        ),
         (("--deatch", "l.toml"), "unknown option --deatch: did you mean --detach?"),
         (("--worlds", "9"), "unknown option --worlds: did you mean --training.worlds or --rating.worlds?"),
         (("-d",), "unknown option -d"),

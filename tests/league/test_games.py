@@ -14,7 +14,7 @@ RACE = f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race"
 SOLO = f"{ROOT / 'tests' / 'arenas' / 'solo.py'}:solo"
 
 
-@pytest.mark.parametrize("arena", [RACE, "rock-paper-scissors"])
+@pytest.mark.parametrize("arena", [RACE, pytest.param("rock-paper-scissors", marks=pytest.mark.slow)])
 def test_any_game_of_two_teams_is_trained_and_rated(tmp_path, arena):
     done = call("run", "--arena.name", arena, *SMALL, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -13,15 +13,13 @@ from league.jobs import decode
 from league.lives import born, life
 from league.policies import thaw
 from league.standing import Standing
-from league.train import Trainer
 from matchmaking.opponents import Opponents
 from matchmaking.roles import LEAGUE_EXPLOITER, MAIN_EXPLOITER, Role
 from storage import arrays
 from storage.records import League, Player
 from storage.store import Store
-from tests.league.leagues import player, snapshot
-from tests.league.test_odds import BLUE, chain, games
-from tests.league.test_train import LEAGUE, claim, ends, settings, turns
+from tests.league.leagues import BLUE, chain, games, player, snapshot
+from tests.league.turns import LEAGUE, claim, ends, new_trainer, settings, turns
 
 HUNTER = replace(player("hunter", 1, group="2"), role="main_exploiter")
 ROVER = replace(player("rover", 0, group="3"), role="league_exploiter")
@@ -203,7 +201,7 @@ def test_who_has_a_rule_of_its_own_learns_from_its_own_worlds_alone(arena, tmp_p
 def test_all_players_are_made_before_one_learns_and_deterministic_groups_take_turns(arena, tmp_path):
     config = hunting()
     with made(tmp_path, arena, config) as store:
-        trainer, order = Trainer(config, arena, store.players(LEAGUE), 16), []
+        trainer, order = new_trainer(config, arena, store), []
         for _ in range(6):
             (job,) = plan.next_turns(config, Standing.of(store, LEAGUE)).jobs
             order.append((decode(job).group, decode(job).iterations > 0))

@@ -1,11 +1,14 @@
-"""`league log`: event files that TensorBoard reads, whole and single after any end."""
+"""`league log`: files that TensorBoard and Weights & Biases read, each iteration once after any end."""
 
+import json
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
+from dashboards.wandb_runs import records
 from league.cli import main
 from league.commands.log import log
 from storage.records import CurvePoint
@@ -105,10 +108,86 @@ def said(folder, process, text: str) -> None:
         time.sleep(0.05)
 
 
+def logged(folder, player: str) -> list[dict[str, float]]:
+    """Figures of each iteration, as W&B's own reader finds them in its files, the oldest file first."""
+    rows = []
+    for file in sorted((folder / "wb").glob("wandb/offline-run-*/run-*.wandb")):
+        found = list(records(file))
+        if any(record.run.display_name == f"cup/{player}" for record in found):
+            items = [record.history.item for record in found if record.HasField("history")]
+            rows += [{(i.key or i.nested_key[0]): json.loads(i.value_json) for i in each} for each in items]
+    return [{name: row[name] for name in ("_step", "environment_steps", "score", "reward")} for row in rows]
+
+
+def figures(*iterations: int) -> list[dict[str, float]]:
+    told = ((i, p.step, p.values) for i, p in zip(iterations, points("blue", *iterations), strict=True))
+    return [{"_step": i, "environment_steps": step, **values} for i, step, values in told]
+
+
+def test_runs_of_wandb_hold_each_iteration_once_and_stay_on_this_machine(folder, capsys, monkeypatch):
+    monkeypatch.delenv("WANDB_MODE", raising=False)
+
+    def run() -> str:
+        assert log(["--store", str(folder / "league-data"), "--wandb", str(folder / "wb")]) == 0
+        return capsys.readouterr().out
+
+    assert "blue: 3 iterations, up to 3\nred: 2 iterations, up to 2\n" in run()
+    assert logged(folder, "blue") == figures(1, 2, 3)
+    before = sorted((folder / "wb").glob("wandb/offline-run-*"))
+    assert "iterations" not in run()
+    assert sorted((folder / "wb").glob("wandb/offline-run-*")) == before
+    learn(folder, *points("blue", 4))
+    assert "blue: 1 iterations, up to 4\n" in run()
+    assert logged(folder, "blue") == figures(1, 2, 3, 4)
+    assert logged(folder, "red") == figures(1, 2)
+
+    ids = {file.stem for file in (folder / "wb").glob("wandb/offline-run-*/run-*.wandb")}
+    assert len(ids) == 2  # a run for each player, in several files
+    (newest,) = [each for each in (folder / "wb").glob("wandb/offline-run-*") if each not in before]
+    (file,) = newest.glob("run-*.wandb")
+    file.write_bytes(file.read_bytes()[:300])  # killed before its history was whole
+    assert [record.WhichOneof("record_type") for record in records(file)].count("history") == 0
+    assert "blue: 1 iterations, up to 4\n" in run()
+
+
+def test_without_wandb_the_extra_is_named(folder, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(SystemExit, match="2"):
+        main(["log", "--store", str(folder / "league-data"), "--wandb", str(folder / "wb")])
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert "pip install 'robot-league[wandb]'" in told.err
+    assert not (folder / "wb").exists()
+
+
+@pytest.mark.parametrize(
+    ("mode", "said"),
+    [
+        ("disabled", "WANDB_MODE is 'disabled', by which nothing is kept: set it to offline or online"),
+        ("online", "and sent it."),
+        ("offline", "wandb sync"),
+    ],
+)
+def test_what_becomes_of_runs_is_told_by_the_word_that_wandb_goes_by(mode, said, tmp_path, capsys, monkeypatch):
+    """In a league without a curve, so that nobody would be sent anything."""
+    monkeypatch.setenv("WANDB_MODE", mode)
+    filled(tmp_path / "store").close()
+    with pytest.raises(SystemExit) as ended:
+        main(["log", "--store", str(tmp_path / "store"), "--wandb", str(tmp_path / "wb")])
+    told = capsys.readouterr()
+    refused = mode == "disabled"
+    assert ended.value.code == (2 if refused else 0)
+    assert said in (told.err if refused else told.out)
+
+
 def test_bad_input_is_one_line(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     (folder / "file").write_text("mine")
-    for args, why in (((), "needs --tensorboard FOLDER"), (("--tensorboard", "file"), "Not a directory")):
+    for args, why in (
+        ((), "needs --tensorboard FOLDER or --wandb FOLDER"),
+        (("--tensorboard", "file"), "Not a directory"),
+        (("--wandb", "file"), "file cannot be written"),
+    ):
         with pytest.raises(SystemExit, match="2"):
             main(["log", *args])
         told = capsys.readouterr()

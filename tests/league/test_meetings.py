@@ -9,11 +9,11 @@ from league import plan
 from league.config import experiment as configuration
 from league.jobs import decode
 from league.standing import Standing
-from league.train import Trainer
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.records import League
 from storage.store import Store
+from tests.league.turns import new_trainer
 
 LEAGUE = "main"
 
@@ -59,7 +59,7 @@ def claim(store, config):
 
 
 def turns(store, config, arena, count):
-    trainer = Trainer(config, arena, store.players(LEAGUE), config.training.worlds)
+    trainer = new_trainer(config, arena, store)
     done = []
     for _ in range(count):
         lease, turn = claim(store, config)
@@ -101,7 +101,7 @@ def test_a_turn_that_was_killed_leaves_no_games(store, arena):
     config = settings("pfsp")
     turns(store, config, arena, 2)
     before = store.meetings(LEAGUE)
-    trainer = Trainer(config, arena, store.players(LEAGUE), 32)
+    trainer = new_trainer(config, arena, store, 32)
     _, turn = claim(store, config)
     assert list(trainer.turn(store, turn, lambda: False))  # and then it is gone, before it commits
     assert store.meetings(LEAGUE) == before

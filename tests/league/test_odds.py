@@ -13,22 +13,9 @@ from league.standing import Standing
 from matchmaking.ladder import Ladder
 from matchmaking.opponents import Opponents, Qualities, gaussian, pfsp
 from matchmaking.roles import Role
-from storage.records import Checkpoint, Meeting
+from storage.records import Checkpoint
 from storage.store import Store
-from tests.league.leagues import finish, match, player, snapshot
-
-BLUE, RED = player("blue", 0), player("red", 1)
-ITERATIONS = (0, 1, 2, 4)
-
-
-def games(opponent, wins, losses, draws=0, iteration=1, who="blue", **more) -> Meeting:
-    return Meeting("cup", who, iteration, opponent, wins, draws, losses, **more)
-
-
-def chain(owner, iterations=ITERATIONS):
-    """The player's snapshots, each going on from the one before."""
-    names = [None, *(f"{owner.name}@{i}" for i in iterations)]
-    return [snapshot(owner, i, parent=parent) for i, parent in zip(iterations, names, strict=False)]
+from tests.league.leagues import BLUE, ITERATIONS, RED, chain, finish, games, match, player, snapshot
 
 
 def standing(*meetings, matches=(), players=(BLUE, RED), extra=(), **given) -> Standing:
@@ -85,6 +72,18 @@ def test_qualities_follow_the_log_whatever_was_read_before():
     weights = met("openai_five", standing(*log))
     assert weights["red@1"] == weights["red@4"] > weights["red@0"] > 0
     assert weights["red"] == 0
+
+
+@pytest.mark.parametrize("kind", ["uniform", "latest", "pfsp", "openai_five", "gaussian", "nash", "alpharank"])
+def test_nobody_meets_a_thinned_snapshot_and_what_is_known_of_the_others_stays(kind):
+    log = [games("red@0", 90, 10, chance=0.5, pool=4), games("red@2", 30, 10, chance=0.5, pool=4)]
+    played = [match("blue@1", "red@2", 300, 100), match("blue@4", "red@1", 200, 200)]
+    state = standing(*log, matches=played)
+    thinned = replace(state, snapshots=[replace(s, thinned=9.0) if s.name == "red@1" else s for s in state.snapshots])
+    before, after = met(kind, state), met(kind, thinned)
+    assert set(after) == set(before) - {"red@1"}
+    if kind == "openai_five":
+        assert after["red@0"] / after["red@4"] == pytest.approx(before["red@0"] / before["red@4"])
 
 
 def test_predicted_scores_come_from_ratings_and_of_the_unrated_from_their_parents():

@@ -16,7 +16,6 @@ from league.policies import add_scripts
 from league.population import copy_now, read, surely_scores
 from league.query import Open
 from league.standing import Standing
-from league.train import Trainer
 from matchmaking.ladder import Ladder, Pool
 from matchmaking.opponents import Opponents
 from matchmaking.pbt import Pbt
@@ -24,11 +23,10 @@ from matchmaking.schedule import Schedule
 from storage import arrays
 from storage.records import Checkpoint, League, Player
 from storage.store import Store
-from tests.league.leagues import match, player, snapshot
-from tests.league.test_odds import games
-from tests.league.test_train import LEAGUE, claim, ends, settings, turns
+from tests.league.leagues import BLUE, RED, games, match, player, snapshot
+from tests.league.turns import LEAGUE, claim, ends, new_trainer, settings, turns
 
-BLUE, OTHER, RED = player("blue", 0), player("blue-2", 0, group="2"), player("red", 1)
+OTHER = player("blue-2", 0, group="2")
 PBT = Pbt(ready=500, by="win_rate")
 
 
@@ -133,7 +131,7 @@ def hyperparameters(store, name):
 def test_the_weaker_goes_on_from_the_strongers_whole_state_however_often_it_is_killed(arena, tmp_path):
     config = population()
     with made(tmp_path / "a", arena, config) as store:
-        lease, turn, done = until_a_copy(store, config, Trainer(config, arena, store.players(LEAGUE), 16))
+        lease, turn, done = until_a_copy(store, config, new_trainer(config, arena, store))
         assert turn.learners == ("slow",)
         before = hyperparameters(store, "slow")[1]
         assert before["lr"] == 1e-4
@@ -162,7 +160,7 @@ def test_the_weaker_goes_on_from_the_strongers_whole_state_however_often_it_is_k
 def test_what_is_inherited_is_perturbed_within_its_range_and_learnt_with(arena, tmp_path):
     config = population(mutate=1.0, perturb=2.0, within=1000.0, hyperparameters=("lr", "gamma"))
     with made(tmp_path, arena, config) as store:
-        trainer = Trainer(config, arena, store.players(LEAGUE), 16)
+        trainer = new_trainer(config, arena, store)
         lease, turn, _ = until_a_copy(store, config, trainer)
         trainer.commit(store, lease, turn)
         state = hyperparameters(store, "slow")[0]
@@ -172,7 +170,7 @@ def test_what_is_inherited_is_perturbed_within_its_range_and_learnt_with(arena, 
         assert horizon in (pytest.approx(0.5), pytest.approx(2))
         learner = trainer.squad.learners["slow"]
         assert (learner.config.lr, learner.config.gamma) == (moved["lr"], moved["gamma"])
-        again = Trainer(config, arena, store.players(LEAGUE), 16)  # another process learns with the same
+        again = new_trainer(config, arena, store)  # another process learns with the same
         again.squad._load(store, "slow", store.checkpoint(LEAGUE, "slow").digest, 0)
         assert again.squad.learners["slow"].config == learner.config
         np.testing.assert_array_equal(again.squad.learners["slow"].state()["rng"], learner.state()["rng"])

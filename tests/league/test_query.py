@@ -21,9 +21,8 @@ from matchmaking.ladder import Ladder, Pool
 from matchmaking.payoff import score_interval
 from storage.errors import StorageError
 from storage.records import CurvePoint
-from tests.league.leagues import WARP, C, filled, finish, match, player, snapshot
+from tests.league.leagues import BLUE, RED, WARP, C, filled, finish, match, player, snapshot
 
-BLUE, RED = player("blue", 0), player("red", 1)
 ANT = player("ants", 1, "ant")
 OTHER_ANT = player("ants-2", 1, "ant")
 

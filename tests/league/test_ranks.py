@@ -124,6 +124,7 @@ def test_each_rank_plays_games_of_its_own_in_its_part_of_the_worlds(store):
     assert all(np.array_equal(first[k], second[k]) and np.array_equal(first[k], alone[k]) for k in first)
 
 
+@pytest.mark.slow
 def test_a_rank_that_dies_costs_a_try_and_no_byte(undisturbed, store):
     with Lead(store) as lead:
         lead.turn()

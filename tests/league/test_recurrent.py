@@ -30,6 +30,7 @@ from storage import arrays
 from storage.errors import StorageError
 from storage.records import League, Player, Snapshot
 from storage.store import Store
+from tests.league.turns import new_trainer
 
 LEAGUE, UNITS = "memory", 5
 GAME = configuration.default("rock-paper-scissors")
@@ -68,7 +69,7 @@ def store(tmp_path, arena) -> Iterator[Store]:
 
 def turns(store: Store, config: Config, arena: Arena, count: int, trainer: Trainer | None = None) -> Trainer:
     """Let one process do the next turns as planned; a new one, if none is given."""
-    trainer = trainer or Trainer(config, arena, store.players(LEAGUE), config.training.worlds)
+    trainer = trainer or new_trainer(config, arena, store)
     for _ in range(count):
         planned = plan.next_turns(config, Standing.of(store, LEAGUE))
         store.queue(planned.jobs, planned.phases)
@@ -96,7 +97,7 @@ def test_killed_after_every_turn_a_league_ends_with_the_same_bytes(schedule, sto
             turns(other, config, arena, 1)
         assert ends(other) == ends(store)
     state = arrays.from_bytes(store.blobs.get(store.checkpoint(LEAGUE, "blue").digest))
-    fresh = Trainer(config, arena, store.players(LEAGUE), 12).squad.learners["blue"].state()
+    fresh = new_trainer(config, arena, store, 12).squad.learners["blue"].state()
     for network in ("actor.0", "critic"):
         for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
             assert (state[f"{network}.gru.{name}"] != fresh[f"{network}.gru.{name}"]).any(), name

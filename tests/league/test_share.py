@@ -20,6 +20,7 @@ RUN = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_league_plays_no_more_while_it_trains_than_it_may_and_then_all_it_can(tmp_path):
     done = call(*RUN, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

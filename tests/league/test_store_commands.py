@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 
 from league.jobs import RatingMatch, TrainingTurn, encode
+from storage.records import Checkpoint
 from storage.store import Store
 from tests.league.conftest import call
-from tests.league.test_pack import ran, refused
+from tests.league.packs import ran, refused
 from tests.storage import sound
+from tests.storage.conftest import KEY, finish_a_job
 from tests.storage.sound import DAY, blob, change, contents, older
 
 
@@ -44,11 +46,28 @@ def test_a_sound_store_is_told_so_with_exit_code_0(folder, capsys):
     assert contents(folder) == before
 
 
-def test_what_is_left_over_is_no_damage(folder, capsys):
+def test_what_is_left_over_is_no_damage_and_yet_found(folder, capsys):
     stray(folder)
     code, out, err = ran(capsys, "verify")
-    assert (code, err) == (0, "")
+    assert (code, err) == (1, "")
     assert "Nothing is missing or corrupt. What is orphaned takes space and does no harm" in " ".join(out.split())
+
+
+def test_a_checkpoint_that_is_no_longer_kept_leaves_no_orphan(folder, capsys):
+    with Store.open(folder) as store:
+        trimmed = [c.digest for c in store.checkpoints("cup") if c.player == "blue"]
+        state = store.blobs.put(sound.policy(77))
+        finish_a_job(store, checkpoints=[Checkpoint("cup", "blue", state, 30, 3, 1.5, KEY)], keep=1)
+    for digest in trimmed:
+        older(blob(folder, digest))
+    code, out, err = ran(capsys, "verify")
+    assert (code, err) == (0, "")
+    assert "2 blobs (192 bytes) of what is no longer kept" in out
+    assert "Nothing is missing, orphaned or corrupt." in out
+    assert json.loads(ran(capsys, "verify", "--format", "json")[1])["dropped"] == 2
+    assert ran(capsys, "thin")[0] == 0
+    assert not any(blob(folder, digest).exists() for digest in trimmed)
+    assert "no longer kept" not in ran(capsys, "verify")[1]
 
 
 def test_jobs_that_need_what_is_not_there_are_told(folder, capsys):

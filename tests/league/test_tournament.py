@@ -45,6 +45,30 @@ def test_what_was_played_is_told(rock_paper_scissors):
     assert (rock_paper_scissors.ladder.payoff.episodes.sum(1) == 3 * 32).all()
 
 
+def test_a_pair_alone_is_played_as_in_the_whole_table(rock_paper_scissors):
+    settings = arenas.settings("rock-paper-scissors")
+    alone = tournament.play(settings.build(engine="c", threads=1), settings, 32, asked=["random:rock"])
+    table, whole = (rows(tournament.told(each)) for each in (alone, rock_paper_scissors))
+    assert table["rock"] == ["–", "", "", whole["rock"][3]]
+    assert table["paper"] == ["", "–", "", ""]
+
+
+def test_a_pair_that_is_none_is_refused():
+    with pytest.raises(ArenaError, match=r"--pairs rock:well: here there are rock:paper$"):
+        tournament.chosen([{"rock": "r", "paper": "p"}] * 2, ["rock:paper", "rock:well"])
+    blue, red = {"heads": "heads:blue"}, {"tails": "tails:red"}
+    assert tournament.chosen([blue, red], ["heads:tails"]) == {("heads:blue", "tails:red")}
+    with pytest.raises(ArenaError, match="--pairs tails:heads"):
+        tournament.chosen([blue, red], ["tails:heads"])
+    assert tournament.chosen([blue], ["heads"]) == {("heads:blue", None)}
+
+
+def test_a_page_has_all_pairs(capsys):
+    with pytest.raises(SystemExit):
+        tournament.main(["sumo-1v1", "--pairs", "idle:random", "--page"])
+    assert "leave out --pairs or --page" in capsys.readouterr().err
+
+
 def test_unlike_teams_stay_on_their_sides():
     found = played(arenas.settings("matching-pennies"), 8)
     table = rows(tournament.told(found))

@@ -15,7 +15,7 @@ from league.policies import freeze, thaw
 from storage.records import League, Snapshot
 from storage.store import Store
 from tests.league.leagues import match
-from tests.league.test_plan import snapshots, standing, training
+from tests.league.plans import snapshots, standing, training
 
 ROOT = Path(__file__).parents[2]
 NAMED = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")

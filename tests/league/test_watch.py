@@ -7,13 +7,18 @@ import pytest
 from PIL import Image
 
 from league.cast import cast
+from league.commands.tables import matches
+from league.commands.watch import watch
 from league.query import Open
 from league.recorded import Wish, chosen, following
+from storage.errors import StorageError
 from storage.recording import Recording, to_bytes
+from storage.records import RATED
 from storage.store import Store
+from storage.thinning import Policy
 from tests.dashboards.cars import cars
-from tests.league.leagues import filled, finish, match
-from tests.league.test_pack import ran, refused
+from tests.league.leagues import C, filled, finish, match
+from tests.league.packs import ran, refused
 
 
 def recorded(played: Recording, sides: tuple[str, str], first: float = 1.0) -> Recording:
@@ -40,6 +45,42 @@ def store(tmp_path_factory) -> Path:
         finish(store, matches=games[:2])
         finish(store, matches=games[2:])
     return folder
+
+
+@pytest.fixture
+def learning(tmp_path) -> Path:
+    """Red's newest has beaten blue's; then an episode of training was recorded, in which blue won."""
+    with filled(tmp_path / "league-data") as store:
+        put, played = store.blobs.put, cars()
+        games = [
+            put(to_bytes(recorded(played, ("red@4", "blue@4")))),
+            put(to_bytes(recorded(played, ("blue@5", "red@5")))),
+        ]
+        finish(store, matches=[match("red@4", "blue@4", 90, 30, recording=games[0])])
+        finish(store, matches=[match("blue@4", "red@4", 2, 0, recording=games[1], purpose="training")])
+    return tmp_path / "league-data"
+
+
+def test_an_episode_of_training_is_shown_as_what_it_is(learning, capsys, tmp_path):
+    with Open(Store.open(learning)) as opened:
+        assert [chosen(opened, w).id for w in (Wish(), Wish(player="red"))] == [2, 2]
+        assert [chosen(opened, w).id for w in (Wish(best=True), Wish(between=("blue@4", "red@4")))] == [1, 1]
+        with pytest.raises(StorageError, match="In no recorded match"):
+            chosen(opened, Wish(upset=True))
+        blue, red = cast(opened, opened.store.matches("cup")[1], ("blue@5", "red@5"))
+        assert blue.label == "blue@5 · main"  # nobody has rated it
+        known = cast(opened, opened.store.matches("cup")[0], ("blue@4", "red@4"))
+        assert [blue.colour, red.colour] == [who.colour for who in known]
+        assert list(opened.matches()["a"]) == ["red@4", "blue@4+"]
+        (row,) = opened.store.totals("cup", RATED)[C].counts
+        assert sum(row[:3]) == 120  # nothing of training
+    assert watch(["--store", str(learning), "--save", str(tmp_path / "it.rrd")]) == 0
+    assert capsys.readouterr().out.startswith("Training 2: blue@5 against red@5, blue@5 wins as blue, ")
+    assert matches(["--store", str(learning)]) == 0
+    assert "training" in capsys.readouterr().out.splitlines()[-1]
+    with Store.open(learning) as store:
+        store.thin(store.waste(Policy(-1.0, {}, recordings=0)))
+        assert [m.recording for m in store.matches("cup")] == [None, None]
 
 
 @pytest.mark.parametrize(

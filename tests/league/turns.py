@@ -1,0 +1,81 @@
+"""Turns of a small league in one process, as one worker does them."""
+
+from dataclasses import replace
+
+from league import plan
+from league.config import experiment as configuration
+from league.config import presets
+from league.jobs import decode
+from league.standing import Standing
+from league.train import Trainer
+from matchmaking.opponents import Opponents
+from matchmaking.schedule import Schedule
+from storage.records import League, Player
+from storage.store import Store
+
+LEAGUE = "duel"
+
+
+def settings(schedule=Schedule(), opponents=Opponents(), **changes):  # noqa: B008  (frozen)
+    """A duel of 16 worlds with turns of four iterations of 8 decisions, that runs until a test has seen enough."""
+    config = presets.duel()
+    training = replace(config.training, worlds=16, rollout=8, turn=4, schedule=schedule, opponents=opponents, **changes)
+    return replace(config, deterministic=True, training=training, budget=configuration.Budget(steps=10**9))
+
+
+def new_store(place, arena):
+    """A store with the league, and a main player in each of the arena's teams."""
+    store = Store.open(place, create=True)
+    store.create_league(League(LEAGUE, ""))
+    store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
+    return store
+
+
+def claim(store, config):
+    """What is planned is queued, and the next turn taken: its lease and what it says."""
+    planned = plan.next_turns(config, Standing.of(store, LEAGUE))
+    store.queue(planned.jobs, planned.phases)
+    claimed = store.claim(LEAGUE, ["train"], "me", 60)
+    assert claimed is not None
+    lease, job = claimed
+    return lease, decode(job)
+
+
+def new_trainer(config, arena, store, worlds=None):
+    """One process's trainer, with what an earlier one has compiled of that arena for such settings: it takes seconds.
+
+    No program depends on what its trainer has learnt.
+    """
+    (league,) = store.leagues()
+    made = Trainer(config, arena, store.players(league.name), worlds or config.training.worlds)
+    told_by = (
+        arena, config.training.rollout, config.training.stagger, config.learner.sequence,
+        config.learner.critic_input == "privileged",
+    )  # fmt: skip
+    mine = made._reset, made._restart, made._rollout
+    made._reset, made._restart, made._rollout = _PROGRAMS.setdefault(told_by, mine)
+    return made
+
+
+_PROGRAMS = {}
+
+
+def turns(store, config, arena, count):
+    """Let one worker do the next turns as planned; the trainer afterwards."""
+    trainer = new_trainer(config, arena, store)
+    for _ in range(count):
+        lease, turn = claim(store, config)
+        for _ in trainer.turn(store, turn, lambda: False):
+            pass
+        trainer.commit(store, lease, turn)
+    return trainer
+
+
+def history(store):
+    """Whose checkpoints were written, at which iteration and with which bytes, in their order."""
+    return [(c.player, c.iteration, c.digest) for c in store.checkpoints(LEAGUE)]
+
+
+def ends(store):
+    """How far each player is, and the digest of its newest checkpoint."""
+    return {name: (c.iteration, c.digest) for name, c in store.newest_checkpoints(LEAGUE).items()}
