@@ -11,7 +11,9 @@ further flags of `league run`. With `--out` it then tells
 - when each learning curve first had a reward or a score: by mean of ten iterations, the first of which has the value;
 - in an arena of two teams, a table: the newest snapshot of each variant and seed against those of all others,
   `--episodes` each, and the mean of a variant against another over their seeds;
-- for `buffer`, what its zeros do to the layer norm of the input (`norms`).
+- for `buffer`, what its zeros do to the layer norm of the input (`norms`);
+- with `--exploit STEPS`, what fresh attackers who learn for so long against each variant's newest snapshots, and
+  nobody else, win from them: what of a score of one half a policy can lose.
 """
 
 import argparse
@@ -92,6 +94,18 @@ SCORE = WALK | {"learner.normalise-observations": "true", "training.worlds": "40
 
 
 LAYER_NORM = {"learner.architecture.layer-norm": "true"}
+CRITICS: Mapping[str, Flags] = {kind: {"learner.critic-input": kind} for kind in ("own", "all", "same", "privileged")}
+OPPONENTS: Mapping[str, Flags] = {
+    "latest": {},
+    "past": {"training.opponents.kind": "uniform", "training.opponents.past": "0.5"},
+    "recent": {
+        "training.opponents.kind": "delta_uniform",
+        "training.opponents.past": "0.5",
+        "training.opponents.delta": "0.5",
+    },
+}
+QUICK = {"training.device": "cpu"}
+"""All else as in the quick start: 256 worlds, 32 decisions an iteration, on two cores."""
 ABLATIONS = {
     "buffer": Ablation(
         "anymal-walk", 40_000_000,
@@ -122,24 +136,11 @@ ABLATIONS = {
         SCORE, {"score": (0.1, 0.7)},
     ),
     "critics": Ablation(
-        "sumo-by-team", 40_000_000,
-        {
-            "own": {"learner.critic-input": "own"}, "all": {"learner.critic-input": "all"},
-            "same": {"learner.critic-input": "same"}, "privileged": {"learner.critic-input": "privileged"},
-        },
-        MATCH | {"after": "leatherback-push,anymal-push"},
+        "sumo-by-team", 40_000_000, CRITICS, MATCH | {"after": "leatherback-push,anymal-push"},
     ),
-    "opponents": Ablation(
-        "sumo-2v2", 15_000_000,
-        {
-            "latest": {}, "past": {"training.opponents.kind": "uniform", "training.opponents.past": "0.5"},
-            "recent": {
-                "training.opponents.kind": "delta_uniform", "training.opponents.past": "0.5",
-                "training.opponents.delta": "0.5",
-            },
-        },
-        ROVERS | {"training.snapshots-per-doubling": "2"},
-    ),
+    "critics-rovers": Ablation("sumo-2v2", 2_500_000, CRITICS, QUICK),
+    "opponents": Ablation("sumo-2v2", 15_000_000, OPPONENTS, ROVERS | {"training.snapshots-per-doubling": "2"}),
+    "opponents-quick": Ablation("sumo-2v2", 2_500_000, OPPONENTS, QUICK),
 }  # fmt: skip
 
 
@@ -147,22 +148,26 @@ def main() -> None:
     """Train what has not been trained, then tell what came of all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("ablation", choices=ABLATIONS)
-    parser.add_argument("--variants", nargs="+", help="train these alone (default: all)")
+    parser.add_argument("--variants", nargs="+", help="train these alone, and tell of these (default: all)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--store", type=Path, required=True, help="the folder for the leagues' stores")
-    parser.add_argument("--out", type=Path, help="tell of all variants, here (default: train only)")
+    parser.add_argument("--out", type=Path, help="tell of the variants, here (default: train only)")
     parser.add_argument("--steps", type=int, help="of training (default: as the ablation says)")
     parser.add_argument("--episodes", type=int, default=512, help="for each pair of snapshots")
     parser.add_argument("--batch", type=int, default=8192, help="of them at once")
+    parser.add_argument("--exploit", type=int, metavar="STEPS", help="let attackers learn for so long, of each player")
     parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
     own, further = own_and_further(sys.argv[1:])
     args = parser.parse_args(own, argparse.Namespace(flags=further))
     ablation = ABLATIONS[args.ablation]
     if unknown := set(args.variants or ()) - set(ablation.variants):
         parser.error(f"--variants {' '.join(sorted(unknown))}: choose of {', '.join(ablation.variants)}")
-    ablation = replace(ablation, steps=args.steps or ablation.steps)
-    for variant, seed in product(args.variants or ablation.variants, args.seeds):
+    chosen = {name: flags for name, flags in ablation.variants.items() if name in (args.variants or ablation.variants)}
+    ablation = replace(ablation, steps=args.steps or ablation.steps, variants=chosen)
+    for variant, seed in product(ablation.variants, args.seeds):
         train(ablation, variant, seed, place(args, variant, seed), args.flags)
+        if args.exploit:
+            exploited(args, variant, seed)
     if args.out is None:
         return
     result = {
@@ -196,6 +201,33 @@ def train(ablation: Ablation, variant: str, seed: int, store: Path, flags: list[
         sys.exit(code)  # it has said why
 
 
+def exploited(args: argparse.Namespace, variant: str, seed: int) -> list[dict]:
+    """What attackers win from a league's newest snapshots; once they have learnt, the same answer without training."""
+    where = place(args, variant, seed)
+    with Store.open(where) as store:
+        victims = [s.name for s in newest_snapshots(Standing.of(store, variant))]
+    found = []
+    for victim in victims:
+        asked = ("--budget", str(args.exploit), "--episodes", str(2 * args.episodes), "--format", "json")
+        command = [
+            sys.executable,
+            "-m",
+            "league",
+            "exploit",
+            victim,
+            "--store",
+            str(where),
+            "--league",
+            variant,
+            *asked,
+        ]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+        if done.returncode:
+            sys.exit(done.returncode)  # it has said why
+        found.append({k: v for k, v in json.loads(done.stdout).items() if k != "lineage"})
+    return found
+
+
 def told(args: argparse.Namespace, ablation: Ablation, variant: str) -> dict:
     """What a variant's curves say, by seed, and when they first had each threshold, in environment steps."""
     seeds = []
@@ -211,6 +243,8 @@ def told(args: argparse.Namespace, ablation: Ablation, variant: str) -> dict:
                 "norms": {s.name: n for s in newest_snapshots(Standing.of(store, variant)) if (n := norms(store, s))},
                 "run": bare(store.runs(variant)[0].config),
             })  # fmt: skip
+        if args.exploit:
+            seeds[-1]["exploited"] = exploited(args, variant, seed)
     return {"flags": dict(ablation.variants[variant]), "seeds": seeds}
 
 

@@ -7,6 +7,7 @@ hard for a compressor as real play. Converting is all that `league watch --save`
 """
 
 import argparse
+import os
 import sys
 import tempfile
 import time
@@ -65,6 +66,7 @@ def match() -> Recording:
         {"ring": np.column_stack([np.zeros((STEPS, 2)), np.linspace(3, 2, STEPS)])},
         [(100, "contact"), (STEPS - 1, "out: red")],
         {name: rng.normal(size=(STEPS, 2)) for name in ("approach", "push", "result")},
+        {team: np.repeat(rng.normal(size=STEPS // 5), 5) for team in TEAMS},
     )  # fmt: skip
 
 
@@ -97,7 +99,8 @@ def main() -> None:
                 lambda: viewer.write_rrd(from_bytes(data), Path(folder, "match.rrd")), options.rounds
             ),
         }  # fmt: skip
-    tell({**figures, "machine": machine(), "commit": commit(), "versions": versions()}, options.out)
+    load = [round(each, 1) for each in os.getloadavg()]  # what else the machine did, over 1, 5 and 15 minutes
+    tell({**figures, "machine": machine(), "load": load, "commit": commit(), "versions": versions()}, options.out)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 circles.
 
     python benchmarks/rps_league.py [--rules latest uniform nash] [--seeds 1 2] [--entropy 0.1] [--every STEPS]
-        [--out FILE.json]
+        [--anew] [--out FILE.json]
+    python benchmarks/rps_league.py --exact
 
 For each rule and seed a league is run; then every snapshot's choices are computed from its Gaussian. Told are, for each
 player: how far (total variation, 0 to 2/3) the mean over its history, the average policy, the Nash mixture of its
@@ -14,6 +15,10 @@ also what is met. On the league's axis snapshots lie closer together the older t
 plain mean, is another one; with --every players are frozen every so many steps, and the two are the same. The average
 counts each snapshot for the iterations until the next one; it is told at each quarter of the history, and so is what a
 best response gains against it, 0 to 1: its exploitability.
+
+With --anew a player begins from its first policy after each snapshot, so that each snapshot is an answer to those
+before it alone. With --exact no league is run: two softmax policies follow the exact gradient against the mean of each
+other's history, which shows what the rule does to a learner that goes on and to one that begins anew.
 """
 
 import argparse
@@ -43,17 +48,40 @@ SETTINGS = (
 )  # fmt: skip
 
 
-def run(folder: Path, rule: str, seed: int, steps: int, entropy: float, every: int | None) -> None:
+def run(folder: Path, rule: str, seed: int, asked: argparse.Namespace) -> None:
     """A league from its start to its end."""
-    evenly = () if every is None else ("--roles", f'[{{name = "main", timeout = {every}}}]')
+    reset = ', reset = "initial"' if asked.anew else ""
+    evenly = () if asked.every is None else ("--roles", f'[{{name = "main", timeout = {asked.every}{reset}}}]')
     subprocess.run(
         [
             sys.executable, "-m", "league", "run", "--arena.name", "rock-paper-scissors", "--store", str(folder),
-            "--seed", str(seed), "--steps", str(steps), "--budget.rate", "0s",
-            "--learner.entropy", str(entropy), "--training.opponents.kind", rule, *SETTINGS, *evenly,
+            "--seed", str(seed), "--steps", str(asked.steps), "--budget.rate", "0s",
+            "--learner.entropy", str(asked.entropy), "--training.opponents.kind", rule, *SETTINGS, *evenly,
         ],
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
+
+
+def exact(anew: bool, seed: int, steps: int = 4000, size: float = 0.15, life: int = 16) -> list[float]:
+    """How far the means of both histories are from one third each, of learners of three logits without any noise.
+
+    Args:
+        anew: begin from the first policy after each snapshot.
+        seed: of the first policies.
+        steps: along the gradient, in logits.
+        size: of a step.
+        life: steps between two snapshots.
+    """
+    logits = np.random.default_rng(seed).normal(scale=0.1, size=(2, 3))
+    first, histories = logits.copy(), ([], [])
+    for step in range(steps):
+        if step % life == 0:
+            for own, history in zip(logits, histories, strict=True):
+                history.append(np.exp(own - own.max()) / np.exp(own - own.max()).sum())
+            logits = first.copy() if anew else logits
+        met = [np.mean(history, axis=0) for history in reversed(histories)]
+        logits = logits + size * np.array([RPS @ mixture for mixture in met])
+    return [_far(np.mean(history, axis=0)) for history in histories]
 
 
 def choices(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -109,19 +137,26 @@ def main() -> None:
     options.add_argument("--steps", type=int, default=150_000)
     options.add_argument("--entropy", type=float, default=0.1)
     options.add_argument("--every", type=int, metavar="STEPS")
+    options.add_argument("--anew", action="store_true", help="after each snapshot, with --every")
+    options.add_argument("--exact", action="store_true", help="learners without noise instead of leagues")
     options.add_argument("--out", type=Path)
     asked = options.parse_args()
+    if asked.exact:
+        for anew in (False, True):
+            print("begins anew" if anew else "goes on", [exact(anew, seed) for seed in asked.seeds])
+        return
     found: dict[str, Any] = {
         "steps": asked.steps,
         "entropy": asked.entropy,
         "every": asked.every,
+        "anew": asked.anew,
         "settings": " ".join(SETTINGS),
         "leagues": [],
     }
     for rule in asked.rules:
         for seed in asked.seeds:
             with tempfile.TemporaryDirectory() as place:
-                run(Path(place), rule, seed, asked.steps, asked.entropy, asked.every)
+                run(Path(place), rule, seed, asked)
                 rows = choices(Path(place))
             for player, other in (("blue", "red"), ("red", "blue")):
                 row = {"rule": rule, "seed": seed, "player": player, **told(*rows[player], rows[other][0])}

@@ -28,7 +28,6 @@ processes of its own.
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -52,6 +51,7 @@ import torch  # noqa: E402
 
 from agents.happo import Learner  # noqa: E402
 from agents.settings import Precision  # noqa: E402
+from arenas.cores import cores  # noqa: E402
 from benchmarks import happo_jax  # noqa: E402
 from benchmarks.kernels import profiled  # noqa: E402
 from benchmarks.loop import Ground, Loop, ratio, speeds, timed, turns  # noqa: E402
@@ -71,7 +71,7 @@ PAST = ["--training.opponents.kind", "uniform", "--training.opponents.past", "0.
 def main() -> None:
     """Measure and write the JSON after each row."""
     args = arguments()
-    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))  # as in a worker of a league
+    torch.set_num_threads(max(1, cores() // 2))  # as in a worker of a league
     result = {
         "command": " ".join(["python", *sys.argv]), "commit": args.commit or commit(), "machine": machine(),
         "versions": versions(), "rows": [],
