@@ -91,8 +91,8 @@ class Manager:
             while True:
                 try:
                     self._keep_workers()
-                    self._look()
-                    if self.stopping or self.store.stop_asked(self.config.league, started):
+                    self._look(started)
+                    if self.stopping:
                         self.stage = "stopped"
                     if time.monotonic() - told >= BEAT or self.stage in ("done", "stopped"):
                         told = time.monotonic()
@@ -114,14 +114,14 @@ class Manager:
 
     # What comes next -------------------------------------------------------------------------------------------------
 
-    def _look(self) -> None:
-        """Plan anew if anything has happened since the last look."""
+    def _look(self, started: float) -> None:
+        """Plan anew if anything has happened since the last look, or stop if that is what was asked for."""
         revision = self.store.revision(self.config.league)
         if revision != self._seen:
-            recent = self.config.budget.window
+            asked, recent = self.store.stop_asked(self.config.league, started), self.config.budget.window
             self._standing = Standing.of(self.store, self.config.league, self._standing, recent=recent)
-            self._seen = revision
-            self.stage = self._plan(self._standing)
+            planned = self._plan(self._standing)
+            self.stage, self._seen = "stopped" if asked else planned, revision
         elif self._late():
             assert self._standing is not None
             self.stage = self._plan(self._standing)

@@ -4,6 +4,7 @@ import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -68,28 +69,42 @@ class Database:
             touch(db, leagues)
             yield db
 
-    def rows(self, query: Any) -> Sequence[Any]:
-        """The rows of a query, in a transaction of its own."""
+    def rows(self, query: Any, **values: Any) -> Sequence[Any]:
+        """The rows of a query with these values of its parameters, in a transaction of its own."""
         with self.reading() as db, _sound_rows(self.where):
-            return db.execute(query).all()
+            return db.execute(query, values).all()
 
     def records(
         self, record: type[R], table: sa.Table, *where: Any, order: Sequence[Any], limit: int | None = None
     ) -> list[R]:
         """The rows of a table as records that have its columns' names; raises StorageError for a damaged row."""
-        query = sa.select(*columns(record, table)).where(*where).order_by(*order).limit(limit)
+        query = _all(record, table).where(*where).order_by(*order).limit(limit)
         with self.reading() as db, _sound_rows(self.where, table.name):
             return [record_from(record, row) for row in db.execute(query)]
 
     def newest(
-        self, record: type[R], table: sa.Table, *where: Any, of_each: sa.Column[Any], order: Sequence[Any]
+        self, record: type[R], table: sa.Table, league: str, of_each: sa.Column[Any], order: tuple[Any, ...]
     ) -> list[R]:
-        """Of the rows with each value of a column, the first by `order`, as records, by that value."""
-        place = sa.func.row_number().over(partition_by=of_each, order_by=order).label("place")
-        ranked = sa.select(*columns(record, table), place).where(*where).subquery()
-        query = sa.select(*ranked.c[:-1]).where(ranked.c.place == 1).order_by(ranked.c[of_each.name])
+        """Of a league's rows with each value of a column, the first by `order`, as records, by that value."""
+        query = _first_of_each(record, table, of_each, order)
         with self.reading() as db, _sound_rows(self.where, table.name):
-            return [record_from(record, row) for row in db.execute(query)]
+            return [record_from(record, row) for row in db.execute(query, {"league": league})]
+
+
+# What a manager asks for again and again is built once: that takes longer than a database to answer it.
+
+
+@lru_cache
+def _all(record: type, table: sa.Table) -> sa.Select:
+    return sa.select(*columns(record, table))
+
+
+@lru_cache
+def _first_of_each(record: type, table: sa.Table, of_each: sa.Column[Any], order: tuple[Any, ...]) -> sa.Select:
+    place = sa.func.row_number().over(partition_by=of_each, order_by=order).label("place")
+    mine = table.c.league == sa.bindparam("league")
+    ranked = sa.select(*columns(record, table), place).where(mine).subquery()
+    return sa.select(*ranked.c[:-1]).where(ranked.c.place == 1).order_by(ranked.c[of_each.name])
 
 
 @contextmanager

@@ -12,6 +12,13 @@ from storage.records import League, Run, Worker
 from storage.verbs import Verbs
 
 
+# Asked for several times a second, and so built once.
+_REVISION = sa.select(t.leagues.c.revision).where(t.leagues.c.name == sa.bindparam("name"))
+_STOP = sa.select(t.leagues.c.name).where(
+    t.leagues.c.name == sa.bindparam("name"), t.leagues.c.stop_asked >= sa.bindparam("since")
+)
+
+
 class Leading(Verbs):
     """A part of `storage.store.Store`."""
 
@@ -40,10 +47,10 @@ class Leading(Verbs):
     def revision(self, league: str) -> int:
         """A number that is raised by whatever changes what there is to plan; raises UnknownName.
 
-        That is: players, snapshots, checkpoints, phases, matches and jobs. Beats, claims and renewals leave it as it
-        is: a job that is worked on is planned with as one that waits.
+        That is: players, snapshots, checkpoints, phases, matches, jobs and the wish to stop. Beats, claims and renewals
+        leave it as it is: a job that is worked on is planned with as one that waits.
         """
-        if found := self._db.rows(sa.select(t.leagues.c.revision).where(t.leagues.c.name == league)):
+        if found := self._db.rows(_REVISION, name=league):
             return found[0][0]
         raise UnknownName("league", league, (known.name for known in self.leagues()))
 
@@ -65,12 +72,11 @@ class Leading(Verbs):
 
     def ask_stop(self, league: str) -> None:
         """Ask every worker of the league that has started by now to stop; raises UnknownName."""
-        self._set_league(league, stop_asked=t.now())
+        self._set_league(league, stop_asked=t.now(), revision=t.leagues.c.revision + 1)
 
     def stop_asked(self, league: str, since: float) -> bool:
         """Whether a stop was asked for at or after `since` (the database's clock)."""
-        c = t.leagues.c
-        return bool(self._db.rows(sa.select(c.name).where(c.name == league, c.stop_asked >= since)))
+        return bool(self._db.rows(_STOP, name=league, since=since))
 
     def start_run(self, league: str, config: str, host: str, versions: Mapping[str, str]) -> Run:
         """Record one `league run`; raises UnknownName."""

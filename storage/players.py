@@ -71,9 +71,8 @@ class Players(Verbs):
 
     def newest_checkpoints(self, league: str) -> dict[str, Checkpoint]:
         """Where each player of the league goes on, by its name; those without a checkpoint are left out."""
-        c = t.checkpoints.c
-        order = rows.NEWEST_CHECKPOINT
-        newest = self._db.newest(Checkpoint, t.checkpoints, c.league == league, of_each=c.player, order=order)
+        each = t.checkpoints.c.player
+        newest = self._db.newest(Checkpoint, t.checkpoints, league, each, rows.NEWEST_CHECKPOINT)
         return {checkpoint.player: checkpoint for checkpoint in newest}
 
     def checkpoints(self, league: str) -> list[Checkpoint]:
@@ -83,6 +82,5 @@ class Players(Verbs):
 
     def phases(self, league: str) -> dict[str, Phase]:
         """The newest phase of each group, by the group's name."""
-        c = t.phases.c
-        newest = self._db.newest(Phase, t.phases, c.league == league, of_each=c.group, order=[c.number.desc()])
+        newest = self._db.newest(Phase, t.phases, league, t.phases.c.group, rows.NEWEST_PHASE)
         return {phase.group: phase for phase in newest}

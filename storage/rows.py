@@ -212,6 +212,7 @@ def add_jobs(db: sa.Connection, jobs: Sequence[Job]) -> int:
 
 
 NEWEST_CHECKPOINT = (t.checkpoints.c.iteration.desc(), t.checkpoints.c.id.desc())
+NEWEST_PHASE = (t.phases.c.number.desc(),)
 
 
 def _add(db: sa.Connection, table: sa.Table, rows: Iterable[Mapping[str, Any]], unique: list[str]) -> int:

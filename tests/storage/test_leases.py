@@ -52,6 +52,18 @@ def test_claims_go_by_priority_then_age(store: Store):
     assert [j.key for j in store.jobs("cup", state="leased", kind="train")] == ["other"]
 
 
+def test_a_claim_for_several_kinds_goes_by_priority_then_age_over_all_of_them(store: Store):
+    store.queue([job("match"), job("turn", "train"), job("late match"), job("least", "train", -1)])
+    store.queue([job("first turn", "train", 2), job("first match", priority=3), job("other kind", "rate", 9)])
+    expired = store.claim("cup", ["train"], "dead", seconds=-1)
+    assert expired
+    assert expired[1].key == "first turn"
+    found = []
+    while claimed := store.claim("cup", ["train", "match"], "me", 60):
+        found.append(claimed[1].key)
+    assert found == ["first match", "first turn", "match", "turn", "late match", "least"]
+
+
 def test_a_lease_is_ours_until_somebody_else_claims_the_job(store: Store):
     store.queue([job("a")])
     lease, claimed = take(store, "slow", seconds=-1)  # expired at once

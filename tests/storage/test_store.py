@@ -156,6 +156,7 @@ def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
         lambda: store.queue([replace(job, key="c")]),
         lambda: store.fail(lease(), "error", tries=1),
         lambda: store.requeue(store.jobs("cup", "failed")[0].id),
+        lambda: store.ask_stop("cup"),
     ):
         assert moves(change)
     held.append(lease())
@@ -171,7 +172,6 @@ def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
         lambda: store.beat("a:1:0", "cup", "train", 1, "a", {}),
         lambda: store.trim_workers("cup", -60),
         lambda: store.lead("cup", "me", 60),
-        lambda: store.ask_stop("cup"),
         lambda: store.queue([replace(job, league="other")]),
     ):
         assert not moves(change)
