@@ -76,11 +76,11 @@ def chosen(sides: Sequence[dict[str, str]], asked: Sequence[str]) -> set[tuple[s
     """
     scripts = [{name: script for script, name in side.items()} for side in sides]
     known = {":".join(of[x] for of, x in zip(scripts, pair, strict=False) if x): pair for pair in pairs(sides)}
-    turned = {":".join(reversed(name.split(":"))): pair for name, pair in known.items()}
-    known_too = turned | known if len(sides) == 2 and sides[0] == sides[1] else known
-    if unknown := [name for name in asked if name not in known_too]:
+    alike = len(sides) == 2 and sides[0] == sides[1]
+    named = known | {":".join(reversed(name.split(":"))): pair for name, pair in known.items()} if alike else known
+    if unknown := [name for name in asked if name not in named]:
         raise ArenaError(f"--pairs {' '.join(unknown)}: here there are {', '.join(known)}")
-    return {known_too[name] for name in asked}
+    return {named[name] for name in asked}
 
 
 def play(

@@ -11,7 +11,6 @@ from storage.errors import UnknownName
 from storage.records import League, Run, Worker
 from storage.verbs import Verbs
 
-
 # Asked for several times a second, and so built once.
 _REVISION = sa.select(t.leagues.c.revision).where(t.leagues.c.name == sa.bindparam("name"))
 _STOP = sa.select(t.leagues.c.name).where(
