@@ -13,6 +13,7 @@ import numpy as np
 
 from dashboards.cast import Performer, shape
 from dashboards.errors import ViewerError
+from dashboards.outputs import FILMS, PICTURES, output, require_kind
 from dashboards.rays import Camera, Painter
 from dashboards.replay import Replay, replay
 from dashboards.viewer.panels import TRAIL, grid_spacing
@@ -21,7 +22,6 @@ from storage.recording import Recording
 
 LINGER = 1.0  # s for which the last picture of a film stays
 FINER = 2  # pixels are drawn twice as fine each way and then merged, which smooths edges
-KINDS = (".mp4", ".gif", ".webp")
 NO_FFMPEG = "an .mp4 needs ffmpeg: pip install 'robot-league[video]' brings it; .gif and .webp need nothing more"
 INK, FAINT, BAND = (235, 238, 245), (165, 172, 184), (17, 21, 30)
 
@@ -144,8 +144,13 @@ def _stage(scene: Replay) -> tuple[np.ndarray, float]:
 
 
 def save_picture(film: Film, path: Path, at_seconds: float) -> None:
-    """Write a picture of a moment, in the kind that the file's name says."""
-    film.picture(nearest(film.recording, at_seconds)).save(path)
+    """Write a picture of a moment, in the kind that the file's name says.
+
+    Raises ViewerError for a name that ends otherwise or a moment that the match does not have, StorageError where the
+    file cannot be written.
+    """
+    with output(path, PICTURES) as partial:
+        film.picture(nearest(film.recording, at_seconds)).save(partial)
 
 
 def save_film(
@@ -154,7 +159,8 @@ def save_film(
     """Write the seconds `between` of a match as a film of `rate` pictures a second, at the speed of the match.
 
     An .mp4 through ffmpeg, a .gif or .webp through Pillow. `tell` is called with how many pictures of how many are
-    there. Raises ViewerError for a name that ends otherwise, or where there is no ffmpeg; nothing is written then.
+    there. Raises ViewerError for a name that ends otherwise, or where there is no ffmpeg, StorageError where the file
+    cannot be written; nothing is written then.
     """
     check(path)
     recording = film.recording
@@ -163,22 +169,16 @@ def save_film(
     steps = [nearest(recording, moment) for moment in moments] or [nearest(recording, between[0])]
     steps += [nearest(recording, last)] * round(LINGER * rate)
     pictures = _told(film, steps, tell)
-    partial = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        if path.suffix == ".mp4":
+    with output(path, FILMS) as partial:
+        if partial.suffix == ".mp4":
             _encode(pictures, film.size, rate, partial)
         else:
             _animate(pictures, rate, partial)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def check(path: Path) -> None:
     """Raise ViewerError where a film of that name cannot be made here."""
-    if path.suffix not in KINDS:
-        raise ViewerError(f"a film is a file named {', '.join('*' + kind for kind in KINDS)}, not {path.name}")
-    if path.suffix == ".mp4":
+    if require_kind(path, FILMS).suffix == ".mp4":
         ffmpeg()
 
 

@@ -217,7 +217,7 @@ class Rows:
             return
         self._check.blobs.add(digest)
         sides = frozenset(str(row.get(side)) for side in ("a", "b") if row.get(side) is not None)
-        self._named.setdefault(digest, Use(table, place, sides, row.get("script")))
+        self._named.setdefault(digest, Use(table, place, sides, row.get("script"), row.get("purpose") == "training"))
 
 
 def _columns(db: sa.Connection) -> dict[str, set[str]]:

@@ -4,7 +4,7 @@ import os
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -39,6 +39,44 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             os.close(folder)
     except OSError as error:
         raise disk_error(f"Cannot write {path}", error) from error
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """The name of an empty file beside `path`, with its ending, that is renamed to it at the end, whatever was there.
+
+    Where something is raised, `path` is as it was. Raises StorageError where it cannot be written or is no file, Away
+    where the disk is full.
+    """
+    try:
+        partial = _beside(path)
+        try:
+            yield partial
+            partial.replace(path)
+        finally:
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise disk_error(f"Cannot write {path}", error) from error
+
+
+def require_writable(path: Path) -> None:
+    """Raise what `replaced` would raise at its beginning."""
+    try:
+        _beside(path).unlink()
+    except OSError as error:
+        raise disk_error(f"Cannot write {path}", error) from error
+
+
+def _beside(path: Path) -> Path:
+    """A new empty file beside where one may be written, or replaced."""
+    if path.is_dir():
+        raise StorageError(f"{path} is a folder: give the name of a file in it.")
+    if path.exists() and not path.is_file():
+        raise StorageError(f"{path} is no file.")
+    partial = path.with_name(f".{secrets.token_hex(8)}.{path.name[-80:]}")
+    partial.touch(exist_ok=False)
+    return partial
 
 
 def opened(path: Path) -> BinaryIO:

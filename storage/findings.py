@@ -54,6 +54,7 @@ class Use(NamedTuple):
     place: str
     sides: frozenset[str]  # of a match
     script: str | None  # of a snapshot
+    training: bool = False  # whether a match is of training: its recording names players between two snapshots
 
 
 def plain(what: object) -> str:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -18,6 +19,7 @@ import numpy as np
 from dashboards.cast import Performer
 from dashboards.errors import ViewerError
 from dashboards.headless import free_port, headless_viewer, logged, start, wait_until_it_listens
+from dashboards.outputs import PICTURES, RERUN, output
 from dashboards.replay import Replay, replay
 from dashboards.server import bound
 from dashboards.viewer.panels import blueprint, draw_panels
@@ -30,13 +32,20 @@ Cast = Sequence[Performer] | None
 
 
 def write_rrd(recording: Recording, path: str | Path, cast: Cast = None) -> None:
-    """Write the match as a rerun file. Raises ViewerError where rerun is not installed."""
+    """Write the match as a rerun file.
+
+    Raises ViewerError where rerun is not installed or the name is not *.rrd, StorageError where it cannot be written.
+    """
     rr = _rerun()
     scene = replay(recording, cast)
-    stream = _stream(rr, recording)
-    stream.save(path, default_blueprint=blueprint(rr, recording, scene))
-    _draw(rr, stream, recording, scene)
-    stream.disconnect()
+    with output(path, RERUN) as partial:
+        stream = _stream(rr, recording)
+        try:
+            stream.save(partial, default_blueprint=blueprint(rr, recording, scene))
+            _draw(rr, stream, recording, scene)
+            stream.disconnect()
+        except RuntimeError as error:  # a full disk, as rerun tells it
+            raise ViewerError(f"rerun could not write {path}: {str(error).splitlines()[0]}") from error
 
 
 def require_display(otherwise: str = NO_WINDOW) -> None:
@@ -68,22 +77,33 @@ def show(recording: Recording, cast: Cast = None, port: int = 9876) -> None:
 def shot(
     recording: Recording, path: str | Path, at_seconds: float, size: tuple[int, int] = (1600, 1000), cast: Cast = None
 ) -> None:
-    """Write a PNG of `size` pixels of the match at a moment, without a display.
+    """Write a picture of `size` pixels of the match at a moment, without a display.
 
-    Raises ViewerError where the match does not have that moment, or rerun or a Vulkan driver is not installed.
+    Raises ViewerError where the match does not have that moment, the name does not end as a picture's does, or rerun or
+    a Vulkan driver is not installed; StorageError where it cannot be written.
     """
     rr = _rerun()
     first, last, dt = recording.time[0], recording.time[-1], recording.header.dt
     if not first - dt <= at_seconds <= last + dt:  # the ends as a person writes them: 0, or 2 for 1.9999
         raise ViewerError(f"there is no second {at_seconds:g} in this match; it has {first:g} to {last:g}")
-    with headless_viewer(size) as viewer:
+    with output(path, PICTURES) as partial, headless_viewer(size) as viewer:
         rrd = viewer.folder / "match.rrd"
         stream, scene = _stream(rr, recording), replay(recording, cast)
         stream.save(rrd, default_blueprint=blueprint(rr, recording, scene, panels=False))
         _draw(rr, stream, recording, scene)
         stream.disconnect()
-        picture = viewer.picture(rrd, "sim_time", float(np.clip(at_seconds, first, last)))
-    Path(path).write_bytes(picture)
+        _keep(viewer.picture(rrd, "sim_time", float(np.clip(at_seconds, first, last))), partial)
+
+
+def _keep(png: bytes, path: Path) -> None:
+    """Write a picture as the kind that its name says."""
+    if path.suffix == ".png":
+        path.write_bytes(png)
+        return
+    from PIL import Image
+
+    with Image.open(BytesIO(png)) as picture:
+        picture.convert("RGB").save(path)
 
 
 @contextmanager

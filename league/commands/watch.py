@@ -10,6 +10,7 @@ from pathlib import Path
 
 from dashboards.cast import Performer
 from dashboards.errors import ViewerError
+from dashboards.outputs import FILMS, PICTURES, RERUN, examine
 from league.cast import cast
 from league.commands.options import Where, parse, positional
 from league.commands.telling import Progress
@@ -76,6 +77,9 @@ def watch(args: list[str]) -> int:
     """Show a recorded match."""
     options = parse(WatchOptions, _paired(args), "watch", "A recorded match in 3D.")
     wish = options.wish()
+    for path, kinds in ((options.save, RERUN), (options.shot, PICTURES), (options.video, FILMS)):
+        if path is not None:
+            examine(path, kinds)
     if options.live:
         return _follow(options)
     with options.open() as opened:

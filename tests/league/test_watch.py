@@ -8,6 +8,7 @@ from PIL import Image
 
 from league.cast import cast
 from league.commands.tables import matches
+from league.commands.verify import verify
 from league.commands.watch import watch
 from league.query import Open
 from league.recorded import Wish, chosen, following
@@ -78,6 +79,8 @@ def test_an_episode_of_training_is_shown_as_what_it_is(learning, capsys, tmp_pat
     assert capsys.readouterr().out.startswith("Training 2: blue@5 against red@5, blue@5 wins as blue, ")
     assert matches(["--store", str(learning)]) == 0
     assert "training" in capsys.readouterr().out.splitlines()[-1]
+    verify(["--store", str(learning)])
+    assert "recording" not in capsys.readouterr().out.partition("problem")[2]  # the policies of this store are none
     with Store.open(learning) as store:
         store.thin(store.waste(Policy(-1.0, {}, recordings=0)))
         assert [m.recording for m in store.matches("cup")] == [None, None]
@@ -154,6 +157,30 @@ def test_pictures_and_films_need_no_graphics_driver(store, tmp_path, capsys, mon
     assert f"Wrote {shot}" in out
     with Image.open(shot) as picture, Image.open(video) as film:
         assert (picture.size, film.size) == ((1600, 1000), (960, 600))
+
+
+@pytest.mark.parametrize("flag", ["--save", "--shot", "--video"])
+def test_a_place_that_cannot_be_written_is_told_in_a_line_and_nothing_is_there(store, tmp_path, capsys, flag):
+    ending = {"--save": ".rrd", "--shot": ".png", "--video": ".gif"}[flag]
+    folder, file = tmp_path / f"folder{ending}", tmp_path / f"file{ending}"
+    folder.mkdir()
+    file.write_bytes(b"whatever was there")
+    places = {
+        tmp_path / "none" / f"m{ending}": "No such file or directory", file / f"m{ending}": "Not a directory",
+        folder: "is a folder: give the name of a file in it", tmp_path / "m.odd": f"*{ending}",
+    }  # fmt: skip
+    for place, says in places.items():
+        assert says in refused(capsys, "watch", "1", "--store", str(store), flag, str(place))
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [file.name, folder.name]
+    assert ran(capsys, "watch", "1", "--store", str(store), flag, str(file), "--seconds", "0.1")[0] == 0
+    assert file.stat().st_size > 1000  # what was drawn before is drawn anew
+
+
+def test_a_picture_is_of_the_kind_that_its_name_says(store, tmp_path, capsys):
+    shot = tmp_path / "match.jpg"
+    assert ran(capsys, "watch", "1", "--store", str(store), "--shot", str(shot))[0] == 0
+    with Image.open(shot) as picture:
+        assert (picture.format, picture.size) == ("JPEG", (1600, 1000))
 
 
 def test_a_match_for_foxglove_is_named_by_its_number_and_never_overwrites(store, tmp_path, capsys, monkeypatch):

@@ -126,6 +126,11 @@ def test_a_folder_of_blobs_that_is_gone_is_told_once(folder: Path):
     [
         ("UPDATE matches SET recording = ? WHERE id = 1", b"no film", "damaged or cut short"),
         ("UPDATE matches SET recording = ? WHERE id = 1", sound.episode("blue@0", "red@0"), "recording of 'blue@0'"),
+        (
+            "UPDATE matches SET recording = ?, purpose = 'training' WHERE id = 1",
+            sound.episode("blue@1", "green@0"),
+            "recording of 'blue@1' against 'green@0'",
+        ),
         ("UPDATE snapshots SET digest = ? WHERE name = 'blue@1'", b"no policy", "not stored arrays"),
         ("UPDATE checkpoints SET digest = ? WHERE id = 4", b"no state", "not stored arrays"),
         ("UPDATE snapshots SET digest = ? WHERE name = 'idle'", b'{"script": "other"}', "the script 'idle'"),
