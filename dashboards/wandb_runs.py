@@ -87,7 +87,7 @@ def runs(folder: Path, league: str, player: str, began: float) -> Iterator[Runs]
                 run.close()
     except BlockingIOError as error:
         raise ViewerError(f"another league log writes {folder}: end that one, or give another folder") from error
-    except (PermissionError, NotADirectoryError, FileExistsError) as error:
+    except OSError as error:
         raise ViewerError(f"{folder} cannot be written: {error.strerror}; give another folder") from error
 
 

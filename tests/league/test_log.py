@@ -187,6 +187,7 @@ def test_bad_input_is_one_line(folder, monkeypatch, capsys):
         ((), "needs --tensorboard FOLDER or --wandb FOLDER"),
         (("--tensorboard", "file"), "Not a directory"),
         (("--wandb", "file"), "file cannot be written"),
+        (("--wandb", "/proc/none"), "/proc/none cannot be written: No such file"),
     ):
         with pytest.raises(SystemExit, match="2"):
             main(["log", *args])
