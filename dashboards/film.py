@@ -159,14 +159,15 @@ def save_film(
     """Write the seconds `between` of a match as a film of `rate` pictures a second, at the speed of the match.
 
     An .mp4 through ffmpeg, a .gif or .webp through Pillow. `tell` is called with how many pictures of how many are
-    there. Raises ViewerError for a name that ends otherwise, or where there is no ffmpeg, StorageError where the file
-    cannot be written; nothing is written then.
+    there. Raises ViewerError for a name that ends otherwise, a beginning that the match does not have, or where there
+    is no ffmpeg, StorageError where the file cannot be written; nothing is written then.
     """
     check(path)
     recording = film.recording
     first, last = np.clip(between, recording.time[0], recording.time[-1]).tolist()
+    begin = nearest(recording, between[0])
     moments = np.arange(first, last, 1 / rate)
-    steps = [nearest(recording, moment) for moment in moments] or [nearest(recording, between[0])]
+    steps = [nearest(recording, moment) for moment in moments] or [begin]
     steps += [nearest(recording, last)] * round(LINGER * rate)
     pictures = _told(film, steps, tell)
     with output(path, FILMS) as partial:

@@ -103,9 +103,10 @@ def _among(opened: Open, matches: list[Match], wish: Wish) -> list[Match]:
         raise UnknownName("player", wish.player, players)
     matches = _of_snapshots(matches) if wish.between else matches
     of = {name: snapshot.player for name, snapshot in snapshots.items()}
+    between = sorted(wish.between)
     found = [
         m for m in matches
-        if set(wish.between) <= {m.a, m.b} and (wish.player is None or wish.player in (of.get(m.a), of.get(m.b or "")))
+        if between in ([], sorted(_sides(m))) and (wish.player is None or wish.player in map(of.get, _sides(m)))
     ]  # fmt: skip
     if not found:
         who = " and ".join(wish.between) or wish.player

@@ -122,6 +122,8 @@ def test_what_cannot_be_made_is_told_and_leaves_nothing(shown, tmp_path, monkeyp
         save_film(shown, tmp_path / "m.avi", 10, (0, 1), lambda *_: None)
     with pytest.raises(ViewerError, match=r"no second 9 in this match; it has 0\.02 to 2"):
         film.save_picture(shown, tmp_path / "m.png", 9)
+    with pytest.raises(ViewerError, match="no second -5 in this match"):
+        save_film(shown, tmp_path / "m.gif", 10, (-5, 1), lambda *_: None)
     monkeypatch.setenv("PATH", "")
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     with pytest.raises(ViewerError, match=r"pip install 'robot-league\[video\]'"):

@@ -122,6 +122,7 @@ def test_players_have_their_colours_roles_and_the_ratings_before_the_match(store
         (("99",), "There is no match 99 in league cup; recorded near it: 1, 2, 3, 5."),
         (("4",), "Match 4 was not recorded; recorded near it: 1, 2, 3, 5."),
         (("--between", "blue@4", "blue@0"), "No match of blue@4 and blue@0 was recorded"),
+        (("--between", "blue@4", "blue@4"), "No match of blue@4 and blue@4 was recorded"),
         (("--between", "blue@4"), "--between takes two snapshots"),
         (("--between", "blue@4", "bleu@0"), "Did you mean 'blue@0'"),
         (("--player", "bleu"), "Did you mean 'blue'"),
