@@ -44,6 +44,7 @@ from storage.store import Store  # noqa: E402
 LEAGUE, PLAYERS = "bench", ("blue", "red")
 EPISODES, PAIRS = 100, 8  # of a match, of a rating job
 WORKERS = (1, 8, 32)
+PARTS = ("queries", "manager", "jobs")
 ASKED = {"sqlite": 200, "postgresql": 500}  # jobs per second with 8 workers
 QUERIES = {"matches": 1.0, "ratings": 1.0, "status": 0.6}  # seconds asked
 SHARE, RESIDENT = 0.02, 300  # of a core, MB: asked of the manager
@@ -267,19 +268,20 @@ def measured(place: Place, backend: str, args: argparse.Namespace) -> dict:
         store.restore(tables(args.snapshots // args.leagues, args.leagues, args.matches))
         found: dict[str, Any] = {"filled_in_seconds": round(time.perf_counter() - start, 1)}
         found["database_mb"] = round(size(store, place) / 1e6)
-        found["queries"] = {c: query(place, c, asked, args.repeats) for c, asked in QUERIES.items()}
-        print(found, file=sys.stderr)
-        found["manager"] = managed(store, place, args.seconds * 4)
-        print(found["manager"], file=sys.stderr)
-        found["asked_jobs_per_second_with_8_workers"] = ASKED[backend]
-        found["jobs"] = [throughput(store, place, workers, args.seconds) for workers in WORKERS]
-        print(found["jobs"], file=sys.stderr)
+        if "queries" in args.parts:
+            found["queries"] = {c: query(place, c, asked, args.repeats) for c, asked in QUERIES.items()}
+        if "manager" in args.parts:
+            found["manager"] = managed(store, place, args.seconds * 4)
+        if "jobs" in args.parts:
+            found["asked_jobs_per_second_with_8_workers"] = ASKED[backend]
+            found["jobs"] = [throughput(store, place, workers, args.seconds) for workers in WORKERS]
         return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--server", help="a PostgreSQL server's URL; everything goes into a schema that is dropped")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--snapshots", type=int, default=10_000)
     parser.add_argument("--leagues", type=int, default=10)
     parser.add_argument("--matches", type=int, default=100_000)

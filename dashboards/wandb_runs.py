@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 from dashboards.errors import ViewerError
 from storage.records import CurvePoint
@@ -75,20 +75,27 @@ def runs(folder: Path, league: str, player: str, began: float) -> Iterator[Runs]
     except ImportError as error:
         need = f"runs of Weights & Biases need wandb ({error}); install it with: pip install 'robot-league[wandb]'"
         raise ViewerError(need) from error
-    lock = folder / f".{league}.{player}.lock"
+    with _held(folder, f".{league}.{player}.lock"):
+        run = Runs(folder, league, player, began)
+        try:
+            yield run
+        finally:
+            run.close()
+
+
+def _held(folder: Path, name: str) -> IO[str]:
+    """A lock in a folder, made if need be, until the file is closed. Raises ViewerError where there can be none."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with lock.open("w") as held:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            run = Runs(folder, league, player, began)
-            try:
-                yield run
-            finally:
-                run.close()
-    except BlockingIOError as error:
-        raise ViewerError(f"another league log writes {folder}: end that one, or give another folder") from error
+        file = (folder / name).open("w")
     except OSError as error:
         raise ViewerError(f"{folder} cannot be written: {error.strerror}; give another folder") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise ViewerError(f"another league log writes {folder}: end that one, or give another folder") from error
+    return file
 
 
 def mode() -> Literal["offline", "online"]:

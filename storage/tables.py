@@ -249,9 +249,8 @@ def add_thinned_snapshots(db: sa.Connection) -> None:
 
 def sort_jobs_to_claim(db: sa.Connection) -> None:
     """From schema 5 to 6: an index by which the next job of a kind is found without reading all that wait."""
-    index = next(index for index in jobs.indexes if index.name == "jobs_to_claim")
-    index.drop(db)
-    index.create(db)
+    db.execute(sa.text("DROP INDEX jobs_to_claim"))
+    db.execute(sa.text("CREATE INDEX jobs_to_claim ON jobs (league, state, kind, priority DESC, id)"))
 
 
 # The oldest schema that can be brought up to date. Schema 1 keyed snapshots by their bytes and leagues by their arena.
