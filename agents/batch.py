@@ -77,6 +77,11 @@ class Critique(NamedTuple):
     last: Sequence[Tensor] = ()  # one where it is recurrent, (N, units): what it remembers after the last decision
 
 
+def held(values: Sequence[Tensor], there: Sequence[Tensor]) -> list[Tensor]:
+    """Values of agents (T, N, ...), with zeros where an agent is not `there` (T, N)."""
+    return [x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0) for x, a in zip(values, there, strict=True)]
+
+
 def clean(batch: Batch) -> Batch:
     """The batch with zeros for what void decisions hold, and agents that were out of the game.
 
@@ -84,12 +89,6 @@ def clean(batch: Batch) -> Batch:
     a decision that is void counts as out of it.
     """
     valid = ~batch.void
-
-    def held(values: Sequence[Tensor], there: Sequence[Tensor]) -> list[Tensor]:
-        return [
-            x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0) for x, a in zip(values, there, strict=True)
-        ]
-
     there, there_next, others, others_next = (
         [a & valid for a in alive]
         for alive in (batch.alive, batch.next_alive, batch.others_alive, batch.next_others_alive)

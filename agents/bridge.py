@@ -14,7 +14,7 @@ import torch
 from jax import Array
 from torch import Tensor
 
-from agents.batch import Batch, Side
+from agents.batch import Batch, Side, held
 from agents.policy import Params
 from agents.rollout import Seen, Trajectory
 from arenas.state import TeamSpec
@@ -42,9 +42,9 @@ def team_batch(
     """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
 
     What its critic sees beside, or instead of, the team's own observations: `others` are the teams whose observations
-    it sees too; `privileged`: it sees the whole state, which the trajectory then holds; `common` are all teams, where
-    it judges for all of them (`common_order`). `recalled` is what recurrent critics remember of all worlds as the
-    trajectory begins, nothing where that is not known.
+    it sees too; `privileged`: behind its own it sees the whole state, which the trajectory then holds; `common` are all
+    teams, where it judges for all of them (`common_order`). `recalled` is what recurrent critics remember of all worlds
+    as the trajectory begins, nothing where that is not known.
 
     The reward is the outcome plus `shaping` times the dense hints. Where the team's own robots made a world void, that
     is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
@@ -57,7 +57,11 @@ def team_batch(
     rewards, terminated, void = _earned(trajectory, index, worlds, shaping, blame)
     sides = []
     if privileged:
-        seen, next_seen = (to_torch(values[:, worlds]) for values in trajectory.whole)
+        known = (trajectory.observations, trajectory.alive), (trajectory.next_observations, trajectory.next_alive)
+        seen, next_seen = (
+            torch.cat([*held(of_agents(own), of_agents(there)), to_torch(whole[:, worlds])], -1)
+            for (own, there), whole in zip(known, trajectory.whole, strict=True)
+        )
         sides = [Side(seen, next_seen, rewards, terminated, void)]
     for t in sorted(range(len(common)), key=lambda t: t != index):
         seen = _seen_by_all(trajectory.observations, common, t, worlds)

@@ -71,8 +71,9 @@ class HappoConfig:
     trust_region: TrustRegion = field(default_factory=TrustRegion)
     """HATRPO's steps; other methods have none."""
     critic_input: CriticInput = "own"
-    """What the critic sees. own: its own team's observations; all: those of all teams; privileged: the arena's whole
-    state; same: those of all teams and for which of them it judges, whose games it all learns from."""
+    """What the critic sees. own: its own team's observations; all: those of all teams; privileged: its own team's and
+    the arena's whole state; same: those of all teams and for which of them it judges, whose games it all learns
+    from."""
     share_actors: bool = False
     """Equal robots of a team act by one actor, and learn it together."""
     lr: float = field(default=1e-3, metadata={"low": 0.0, "high": 1.0})

@@ -45,7 +45,7 @@ def new_learner(
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     theirs = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]
     kinds, sees = [a.kind for a in agents], settings.critic_input
-    sight = arena.privileged_size if sees == "privileged" else common_size(arena.teams) if sees == "same" else 0
+    sight = {"privileged": sum(sizes[0]) + arena.privileged_size, "same": common_size(arena.teams)}.get(sees, 0)
     return Learner(*sizes, settings, seed, config.training.device, kinds, theirs, sight, together)
 
 

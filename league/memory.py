@@ -58,7 +58,7 @@ def learning(config: Config, arena: "Arena", worlds: int, at_once: int = 1) -> i
     """
     numbers = sum(agent.observation_size + 2 * agent.action_size + 8 for agent in arena.agents)
     if config.learner.critic_input == "privileged":
-        numbers += arena.privileged_size * len(arena.teams)
+        numbers += arena.privileged_size * len(arena.teams) + sum(agent.observation_size for agent in arena.agents)
     elif config.learner.critic_input != "own":
         sides = len(arena.teams) if config.learner.critic_input == "same" else 1
         numbers += sides * len(arena.teams) * sum(agent.observation_size for agent in arena.agents)

@@ -80,12 +80,15 @@ def test_who_breaks_physics_has_lost_and_the_others_know_nothing_of_it(trajector
     assert np.array_equal(team_batch(told, blue, 0, slice(None), shaping=0.5).void.cpu(), void)
 
 
-def test_a_critic_of_the_whole_state_gets_it_with_what_its_team_earned(trajectory):
-    whole = tuple(encoded(field, 0, 4) for field in (8, 9))
-    batch = team_batch(trajectory._replace(whole=whole), RED, 1, np.array([4, 0]), shaping=0.5, privileged=True)
+def test_a_critic_of_the_whole_state_gets_it_behind_what_its_team_sees_with_what_its_team_earned(trajectory):
+    whole, mine = tuple(encoded(field, 0, 4) for field in (8, 9)), np.array([4, 0])
+    batch = team_batch(trajectory._replace(whole=whole), RED, 1, mine, shaping=0.5, privileged=True)
     (side,) = batch.sides
-    np.testing.assert_array_equal(side.seen.cpu(), whole[0][:, [4, 0]])
-    np.testing.assert_array_equal(side.next_seen.cpu(), whole[1][:, [4, 0]])
+    sights = (side.seen, batch.observations, batch.alive), (side.next_seen, batch.next_observations, batch.next_alive)
+    for state, (seen, own, alive) in zip(whole, sights, strict=True):
+        shown = [np.where(a.cpu()[..., None], o.cpu(), 0.0) for o, a in zip(own, alive, strict=True)]
+        np.testing.assert_array_equal(seen.cpu(), np.concatenate([*shown, state[:, mine]], -1))
+    assert not all(alive.all() for alive in batch.alive)
     assert all(x is y for x, y in zip(side[2:], (batch.rewards, batch.terminated, batch.void), strict=True))
     assert not team_batch(trajectory, RED, 1, slice(None), shaping=0.5).sides
 

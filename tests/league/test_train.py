@@ -97,7 +97,7 @@ def test_variants_of_the_learner_go_on_in_another_process(duel_store, duel):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sees", "size", "units"), [("privileged", 68, 0), ("same", 42, 0), ("privileged", 68, 5)])
+@pytest.mark.parametrize(("sees", "size", "units"), [("privileged", 88, 0), ("same", 42, 0), ("privileged", 88, 5)])
 def test_critics_that_see_more_go_on_in_another_process_to_the_same_bytes(
     duel_store, duel, tmp_path, sees, size, units
 ):
