@@ -123,7 +123,7 @@ def test_a_critic_of_the_whole_state_teaches_a_puck_the_way_to_the_flag():
     rollout = make_rollout(arena, length=40, privileged=True)
     worlds = make_reset(arena, stagger=False)(jax.random.split(jax.random.key(1), 64))
     config = HappoConfig(Architecture((16,)), lr=0.01, critic_lr=0.01, critic_input="privileged")
-    learner = Learner([6], [2], config, seed=0, device="auto", sight=arena.privileged_size)
+    learner = Learner([6], [2], config, seed=0, device="auto", sight=6 + arena.privileged_size)
     idle = crew([list(scripts_of(arena, "puck")).index("idle")] * 2)
     scores, explained = [], []
     for iteration in range(14):
