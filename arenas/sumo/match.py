@@ -36,7 +36,7 @@ from arenas.starts import bases
 from arenas.state import Verdict
 from arenas.sumo import ring, scripts
 from arenas.sumo.rich import Rich
-from arenas.sumo.settings import CONTROL, KINDS, SPARE_CONTACTS, SPARE_ROWS, SumoRules, SumoSettings
+from arenas.sumo.settings import CONTROL, ITERATIONS, KINDS, SPARE_CONTACTS, SPARE_ROWS, SumoRules, SumoSettings
 from arenas.sumo.slots import Slots
 
 STRANGER = KINDS["anymal"]  # whose buffers a robot gets that came with rosters of its own
@@ -63,8 +63,8 @@ class Sumo(Arena):
         room = [KINDS.get(robot.kind, STRANGER) for team in rosters.values() for robot in team]
         super().__init__(
             settings.name, rosters, settings.timing, asdict(rules) | {"randomisation": asdict(settings.randomisation)},
-            # Iterations are the default's, which were found here: see `Solver`.
             solver=Solver(
+                iterations=ITERATIONS,
                 contacts=SPARE_CONTACTS + sum(kind.contacts for kind in room),
                 rows=SPARE_ROWS + sum(kind.rows for kind in room),
             ),
