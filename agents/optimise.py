@@ -3,6 +3,7 @@
 Only `means` asks the device for numbers: all that comes before it can be replayed as CUDA graphs (`agents/graphs.py`).
 """
 
+import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import ParamSpec, TypeVar
@@ -25,7 +26,13 @@ MOST_COMPILED = 256  # networks whose losses one process compiles; torch's own l
 class Adam(torch.optim.Adam):
     """Torch's, which leaves parameters, moments and step counts as they are where `found_inf` is 1, as its grad scaler
     uses it.
+
+    Without what torch wraps these two in: that tells torch.compile to leave them alone, and to do so it imports all of
+    torch.compile, which takes a training process 1 to 3 s of its start.
     """
+
+    add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
+    step = torch.no_grad()(inspect.unwrap(torch.optim.Adam.step))
 
     found_inf: Tensor | None = None  # () float
 

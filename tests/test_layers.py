@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -58,3 +59,20 @@ def test_arenas_settings_load_without(heavy):
     count, *loaded = run(sys.executable, "-c", text).splitlines()
     assert int(count) > 5
     assert heavy not in loaded
+
+
+def test_learning_starts_without_torch_compile():
+    """Its import takes seconds, and torch's own Adam would have it."""
+    text = """
+        import sys, torch
+        from torch import nn
+        from agents.optimise import adam, step
+        layer = nn.Linear(2, 2)
+        before = layer.weight.detach().clone()
+        gradient = [torch.ones_like(p) for p in layer.parameters()]
+        step(adam(layer, torch.tensor(0.1)), layer, gradient, 1.0, torch.tensor(1.0))
+        print(float((layer.weight - before).abs().max()), "torch._dynamo" in sys.modules)
+    """
+    moved, loaded = run(sys.executable, "-c", dedent(text)).split()
+    assert float(moved) == pytest.approx(0.1, rel=1e-3)
+    assert loaded == "False"
