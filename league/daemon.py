@@ -21,6 +21,7 @@ from league import matches, plan
 from league.config import experiment as configuration
 from league.config.durations import seconds
 from league.config.experiment import Config
+from league.handover import Standby
 from league.jobs import RatingMatch, TrainingTurn
 from league.liveness import is_dead, place
 from league.standing import Standing
@@ -49,15 +50,18 @@ class _Slot:
 
     kinds: tuple[str, ...]
     number: int
-    process: BaseProcess | None = None
+    process: BaseProcess | Standby | None = None
     started: float = 0.0
     deaths: int = 0
 
 
 class Manager:
-    """Runs a league until its budgets are spent or it is told to stop."""
+    """Runs a league until its budgets are spent or it is told to stop.
 
-    def __init__(self, store: Store, where: str, config: Config):
+    Who stands by becomes the first train worker.
+    """
+
+    def __init__(self, store: Store, where: str, config: Config, standby: Standby | None = None):
         self.store, self.where, self.config = store, where, config
         self.host = socket.gethostname()
         self.id = f"{self.host}:{os.getpid()}:manager"
@@ -71,6 +75,7 @@ class Manager:
             )
             for number in range(count)
         ]
+        self._standby = standby
         self._rating_until = math.inf  # on the monotonic clock; infinite before training is over
         self._standing: Standing | None = None
         self._seen = -1  # the store's revision that the plan has seen
@@ -164,8 +169,12 @@ class Manager:
             text = configuration.dumps(self.config)
             spread = self.config.training.devices if TrainingTurn.kind in slot.kinds else 1
             post = Post(self.where, self.config.storage.blobs, text, slot.kinds, slot.number, os.getpid(), spread)
-            slot.process = context.Process(target=work, args=(post,))
-            slot.process.start()
+            if self._standby is not None and slot.number == 0 and TrainingTurn.kind in slot.kinds:
+                slot.process, self._standby = self._standby, None
+                slot.process.hire(post)
+            else:
+                slot.process = context.Process(target=work, args=(post,))
+                slot.process.start()
             slot.started = time.monotonic()
 
     def _bury(self, slot: _Slot) -> None:

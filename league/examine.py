@@ -3,6 +3,7 @@
 Loads what is heavy only where it is used, for the settings that are told here are also asked for by light commands.
 """
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arenas.blame import blame, sources
@@ -20,7 +21,7 @@ CPU_WORLDS, GPU_WORLDS = 256, 2048  # below 2,000 worlds a GPU waits for launche
 
 
 def examine(config: Config) -> "Arena":
-    """Build the arena and try the configuration on it and on this machine; the arena is for looking at.
+    """Build the arena as for training and try the configuration on it and on this machine.
 
     Raises ConfigError, one line, naming the setting.
     """
@@ -57,6 +58,28 @@ def worlds(config: Config) -> int:
     return config.training.worlds or (GPU_WORLDS * config.training.devices if on_gpus else CPU_WORLDS)
 
 
+def build(config: Config, count: int) -> "Arena":
+    """The league's arena for so many worlds, as each worker has it; a GPU's buffers depend on their number."""
+    return config.arena.build(engine=config.engine, worlds=count, threads=config.workers.threads)
+
+
+@dataclass(frozen=True)
+class Built:
+    """An arena that this process has, and what it was built from."""
+
+    arena: "Arena"
+    config: Config
+    worlds: int
+
+    def again(self, config: Config, count: int) -> "Arena":
+        """What `build` gives: this one where a new one would be the same."""
+        asked, had = (
+            (each.arena, each.engine, each.workers.threads, worlds)
+            for each, worlds in ((config, count), (self.config, self.worlds))
+        )
+        return self.arena if asked == had else build(config, count)
+
+
 def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:
     """The players of a league, named: those of the configuration, else a main one for each of the teams."""
     return named_players(config.players) if config.players else mains(tuple(teams))
@@ -67,7 +90,7 @@ def _built(config: Config) -> "Arena":
 
     name = config.arena.name
     try:
-        arena = config.arena.build(engine=config.engine, threads=1)
+        arena = build(config, worlds(config))
         if ":" in name:  # a person's own: find out now what else every worker would find out
             _trace(arena)
     except EngineError as error:

@@ -1,17 +1,17 @@
 """What only the heavy half of the program can check before a league runs, and the rows with which a league begins.
 
-`prepare` starts a short-lived process, so that the one that stays, the manager, never loads jax, torch or mujoco. That
-process builds the arena, examines the configuration against it and this machine, and only then writes: the league, its
-players and the scripted opponents, all of which may be there already. What it refuses leaves nothing behind.
+`prepare` starts a process for it, so that the manager never loads jax, torch or mujoco. That process builds the arena,
+examines the configuration against it and this machine, and only then writes: the league, its players and the scripted
+opponents, all of which may be there already. What it refuses leaves nothing behind. Then it ends, or goes on as a train
+worker (`league/handover.py`).
 """
 
 import json
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,7 +20,8 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError
 from league.create import create, examine_beginning, examine_heritage, examine_victim, players_of
-from league.examine import examine, worlds
+from league.examine import Built, examine, worlds
+from league.handover import Standby, goes_on, stand_by
 from storage.records import League
 from storage.store import Store
 
@@ -49,31 +50,44 @@ def prepare(where: str, config: Config, debug: bool = False, brought: Sequence[s
     what cannot be; PrepareError where the process died. Ctrl-C ends both processes at once: nothing is lost, since
     nothing has been done.
     """
-    request = {"where": where, "config": configuration.dumps(config), "parent": os.getpid(), "brought": list(brought)}
-    with _ending_with_us() as children:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "league.prepare"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=None if debug else subprocess.PIPE, text=True,
-        )  # fmt: skip
-        children.append(process)
-        out, err = process.communicate(json.dumps(request))
-    answer = json.loads(out or "{}")
-    if "refused" in answer:
-        raise ConfigError(tuple(answer["key"]), answer["refused"])
-    if "prepared" not in answer:
-        last = (err or "").strip().splitlines()[-1:] or ["it said nothing"]
-        raise PrepareError(f"preparing the league failed (exit code {process.returncode}): {last[0]}")
-    found = answer["prepared"]
-    return Prepared(**{**found, "sides": tuple(found["sides"])})
+    with standing_by(where, config, debug, brought, stay=False) as (prepared, _):
+        return prepared
 
 
 @contextmanager
-def _ending_with_us() -> Iterator[list[subprocess.Popen[str]]]:
+def standing_by(
+    where: str, config: Config, debug: bool = False, brought: Sequence[str] = (), stay: bool = True
+) -> Iterator[tuple[Prepared, Standby | None]]:
+    """`prepare`, and the process that did so where it can go on as the first train worker; it ends with the context.
+
+    Without `stay` it has ended as soon as it has prepared.
+    """
+    stay = stay and goes_on(config)
+    request = {"where": where, "config": configuration.dumps(config), "parent": os.getpid(), "brought": list(brought)}
+    with ExitStack() as until_the_end:
+        with _ending_with_us() as children:
+            process = Standby("league.prepare", debug)
+            children.append(process)
+            until_the_end.callback(process.end)
+            answer = process.ask({**request, "stay": stay})
+        if "refused" in answer:
+            raise ConfigError(tuple(answer["key"]), answer["refused"])
+        if "prepared" not in answer:
+            code, last = process.exitcode, process.last_words()
+            raise PrepareError(f"preparing the league failed (exit code {code}): {last}")
+        if not stay:
+            process.end()
+        found = answer["prepared"]
+        yield Prepared(**{**found, "sides": tuple(found["sides"])}), process if stay else None
+
+
+@contextmanager
+def _ending_with_us() -> Iterator[list[Standby]]:
     """Until this is over, Ctrl-C and SIGTERM end the processes in the list, and this one.
 
     An exception would not do: Python drops one that a signal raises while, say, a module is being imported.
     """
-    children: list[subprocess.Popen[str]] = []
+    children: list[Standby] = []
 
     def leave(number: int, frame: object) -> None:
         for process in children:
@@ -95,8 +109,8 @@ def _ending_with_us() -> Iterator[list[subprocess.Popen[str]]]:
 # The heavy half ------------------------------------------------------------------------------------------------------
 
 
-def _serve(request: Mapping[str, Any]) -> Prepared:
-    """Do what `prepare` asks for."""
+def _serve(request: Mapping[str, Any]) -> tuple[Prepared, Built]:
+    """Do what `prepare` asks for; the arena that was built for it, of several stages the first one's."""
     config = configuration.loads(request["config"])
     stages = [configuration.stage(config, number) for number in range(len(config.stages))]
     arenas = [examine(each) for each in stages or [config]]
@@ -114,24 +128,30 @@ def _serve(request: Mapping[str, Any]) -> Prepared:
             create(store, config, arenas[0])
     arena = arenas[0]
     sides = tuple(f"{t.name} ({crowd(a.kind for a in t.agents)})" for t in arena.teams)
-    return Prepared(arena.name, arena.engine.name, worlds(config), sides)
+    return Prepared(arena.name, arena.engine.name, worlds(config), sides), Built(arena, first, worlds(first))
 
 
 def main() -> None:
     """Read a request from stdin and answer it on stdout: the process that `prepare` starts."""
-    from league import environment
+    from league import devices, environment
     from storage.errors import StorageError
 
     environment.prepare()
+    request, built = json.loads(sys.stdin.readline()), None
+    if request["stay"]:
+        devices.take(0)  # as the worker that it becomes, before anything that would take others is imported
     with os.fdopen(os.dup(1), "w") as answer:
         os.dup2(2, 1)  # libraries greet on stdout
         try:
-            told: dict[str, Any] = {"prepared": asdict(_serve(json.load(sys.stdin)))}
+            prepared, built = _serve(request)
+            told: dict[str, Any] = {"prepared": asdict(prepared)}
         except ConfigError as error:
             told = {"refused": error.message, "key": error.key}
         except StorageError as error:
             told = {"refused": str(error), "key": ()}
-        json.dump(told, answer)
+        answer.write(json.dumps(told) + "\n")
+    if request["stay"] and built is not None:
+        stand_by(request, built)
 
 
 if __name__ == "__main__":

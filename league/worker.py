@@ -30,6 +30,7 @@ from storage.store import Store
 if TYPE_CHECKING:
     from arenas.arena import Arena
     from league.evaluate import Referee
+    from league.examine import Built
     from league.ranks import Ranks
     from league.train import Trainer
 
@@ -54,7 +55,7 @@ class Post:
     leader: str = ""  # without a parent: who leads the league; it ends when that one does so no longer
 
 
-def work(post: Post) -> None:
+def work(post: Post, built: "Built | None" = None) -> None:
     """Work on the jobs of these kinds until told to stop: by SIGTERM, by `league stop`, or by its manager's end.
 
     A worker with a parent leaves Ctrl-C to that one; of one without, the first is a SIGTERM and the second its end.
@@ -81,7 +82,7 @@ def work(post: Post) -> None:
     torch.set_num_threads(max(1, cores() // 2))
     try:
         with Store.open(post.store, blobs=post.blobs) as store:
-            Worker(store, config, post, stopping).run()
+            Worker(store, config, post, stopping, built).run()
     except StorageError as error:  # the manager starts another one; a person needs the reason, not a traceback
         print(f"league: {'+'.join(post.kinds)} worker: {error}", file=sys.stderr, flush=True)
         sys.exit(2)
@@ -90,8 +91,11 @@ def work(post: Post) -> None:
 class Worker:
     """One process's loop over leases. Arena, learners and compiled matches stay in memory between jobs."""
 
-    def __init__(self, store: Store, config: configuration.Config, post: Post, stopping: threading.Event):
-        self.store, self.config, self.post, self.stopping = store, config, post, stopping
+    def __init__(
+        self, store: Store, config: configuration.Config, post: Post, stopping: threading.Event,
+        built: "Built | None" = None,
+    ):  # fmt: skip
+        self.store, self.config, self.post, self.stopping, self.built = store, config, post, stopping, built
         self.host, self.pid = socket.gethostname(), os.getpid()
         self.id = f"{self.host}:{self.pid}:{'+'.join(post.kinds)}{post.number}"
         self.status: dict[str, Any] = {"doing": "starting"}
@@ -253,9 +257,10 @@ class Worker:
         return self._heavy["referee"]
 
     def _arena(self, worlds: int) -> "Arena":
-        """The league's arena for so many worlds; a GPU's buffers depend on their number."""
-        config = self.config
-        return config.arena.build(engine=config.engine, worlds=worlds, threads=config.workers.threads)
+        """The league's arena for so many worlds: the one that is there, if a new one would be the same."""
+        from league.examine import build
+
+        return build(self.config, worlds) if self.built is None else self.built.again(self.config, worlds)
 
     # The other thread ------------------------------------------------------------------------------------------------
 

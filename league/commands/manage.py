@@ -16,9 +16,10 @@ from league.commands.progress import NEXT, Ticker, summary
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.daemon import DaemonError, Manager, Stage
+from league.handover import Standby
 from league.jobs import TrainingTurn
 from league.memory import SHORT
-from league.prepare import Prepared, prepare
+from league.prepare import Prepared, standing_by
 from league.versions import versions
 from storage.store import Store
 
@@ -33,8 +34,10 @@ class Task:
     prepared: Prepared
 
 
-def manage(task: Task, leads: Callable[[], None] = lambda: None) -> int:
+def manage(task: Task, leads: Callable[[], None] = lambda: None, standby: Standby | None = None) -> int:
     """Run the league to the end of its budget or until it is stopped; `leads` is called when it has begun.
+
+    Who stands by has prepared it. A curriculum is prepared here, stage by stage.
 
     Raises DaemonError where another process leads the league.
     """
@@ -42,7 +45,7 @@ def manage(task: Task, leads: Callable[[], None] = lambda: None) -> int:
     with Store.open(task.where, blobs=task.blobs) as store:
         if config.stages:
             _walk(store, task, config, leads)
-        elif _run(store, task.where, config, task.prepared, leads) != "stopped":
+        elif _run(store, task.where, config, task.prepared, leads, standby) != "stopped":
             print(f"\n{summary(config, curriculum.standing(store, config))}")
             _refuse_too_large(store, config)
     return 0
@@ -55,11 +58,13 @@ def _refuse_too_large(store: Store, config: Config) -> None:
             raise DaemonError(str(job.error))
 
 
-def _run(store: Store, where: str, config: Config, prepared: Prepared, leads: Callable[[], None]) -> Stage:
+def _run(
+    store: Store, where: str, config: Config, prepared: Prepared, leads: Callable[[], None], standby: Standby | None
+) -> Stage:
     """Manage one league; say where it is when it was stopped."""
     # The plan counts steps by the number of worlds; what the store keeps stays open, for a machine with another device.
     sized = replace(config, training=replace(config.training, worlds=prepared.worlds))
-    phase = Manager(store, where, sized).run(_Teller(store, config, prepared, leads))
+    phase = Manager(store, where, sized, standby).run(_Teller(store, config, prepared, leads))
     if phase == "stopped":
         at = curriculum.standing(store, config).newest
         told = f" at iteration {at.iteration}, {at.step:,} steps" if at else ""
@@ -78,11 +83,11 @@ def _walk(store: Store, task: Task, config: Config, leads: Callable[[], None]) -
         standing = curriculum.standing(store, stage)
         last = number == len(config.stages) - 1
         if last or curriculum.ended(stage, standing) is None:
-            prepared = prepare(task.where, stage)
-            ends = f"it ends {curriculum.until(stage)}"
-            print(f"Stage {number + 1} of {len(config.stages)}, {config.stages[number].name}: {ends}.", flush=True)
-            if _run(store, task.where, stage, prepared, leads) == "stopped":
-                return
+            with standing_by(task.where, stage) as (prepared, standby):
+                ends = f"it ends {curriculum.until(stage)}"
+                print(f"Stage {number + 1} of {len(config.stages)}, {config.stages[number].name}: {ends}.", flush=True)
+                if _run(store, task.where, stage, prepared, leads, standby) == "stopped":
+                    return
             leads, standing = (lambda: None), curriculum.standing(store, stage)
         why = curriculum.ended(stage, standing)
         _refuse_too_large(store, stage)

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -17,11 +18,12 @@ from league.config.durations import seconds
 from league.config.experiment import Budget, Config
 from league.config.schema import ConfigError
 from league.daemon import DaemonError
+from league.handover import Standby
 from league.jobs import TrainingTurn
 from league.liveness import leader, place
 from league.matches import rating_goes_on
 from league.plan import spent, trained_enough
-from league.prepare import prepare
+from league.prepare import Prepared, standing_by
 from league.standing import Standing
 from storage.errors import NotAStore
 from storage.store import Store
@@ -40,23 +42,31 @@ def run(args: list[str]) -> int:
         return 0
     devices.use(asked.options.devices)
     _refuse_second(where, config)
-    try:
-        prepared = prepare(where, config, debug="--debug" in sys.argv)
-    except ConfigError as error:
-        raise asked.located(error) from None
+    with ExitStack() as until_the_end:
+        preparing = standing_by(where, config, debug="--debug" in sys.argv, stay=not asked.options.detach)
+        try:
+            prepared, standby = until_the_end.enter_context(preparing)
+        except ConfigError as error:
+            raise asked.located(error) from None
+        return _run(asked, prepared, standby)
+
+
+def _run(asked: Asked, prepared: Prepared, standby: Standby | None) -> int:
+    """Run a league that is prepared, unless nothing is left to do."""
+    config, where = asked.config, asked.options.store
     with Store.open(where, blobs=config.storage.blobs) as store:
         if config.stages:
             done = _walked(store, config)
             if done is not None:
                 print(done)
                 return 0
-            return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
+            return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared), standby)
         standing = _tried_again(Standing.of(store, config.league, recent=config.budget.window))
         config = _with_budget(asked, standing)
         if trained_enough(config, standing) and not rating_goes_on(config, standing):
             print(f"{summary(config, standing)}\n\n{_had_enough(config)}")
             return 0
-    return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared))
+    return _go(asked, Task(where, config.storage.blobs, configuration.dumps(config), prepared), standby)
 
 
 def _tried_again(standing: Standing) -> Standing:
@@ -65,8 +75,8 @@ def _tried_again(standing: Standing) -> Standing:
     return replace(standing, jobs=kept)
 
 
-def _go(asked: Asked, task: Task) -> int:
-    return _detach(task) if asked.options.detach else manage(task)
+def _go(asked: Asked, task: Task, standby: Standby | None) -> int:
+    return _detach(task) if asked.options.detach else manage(task, standby=standby)
 
 
 def _walked(store: Store, config: Config) -> str | None:
