@@ -103,6 +103,7 @@ class Loop:
     def play(self, how: Verb) -> np.ndarray:
         """Go on by `roll` or `learn`; seconds (wall, CPU)."""
         key = next(self._keys)
+        vars(self).pop("trajectory", None)  # training never has two of them
         jax.block_until_ready((self.now, key))
         began = clocks()
         self.now, self.trajectory = jax.block_until_ready(how(self.now, key))

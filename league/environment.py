@@ -9,6 +9,8 @@ def prepare() -> None:
     cache = cache_folder()
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # workers, torch and Warp share the GPU
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache / "jax"))
+    # By default JAX keeps no program that compiled within a second; a start compiles dozens of such.
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
     os.environ.setdefault("WARP_CACHE_PATH", str(cache / "warp"))
     # OpenMP threads that spin while they wait take the core from the process that they wait for.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")

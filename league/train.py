@@ -109,6 +109,7 @@ class Trainer:
             figures = self._learn(turn, trajectory, lineup)
             for name in turn.learners:
                 met[name] += results(trajectory, squad.players[name].team, lineup.groups, self.together.add)
+            del trajectory  # two of them at once would be twice the memory
 
             steps += lineup.worlds * self.together.size * self.config.training.rollout
             elapsed = self.together.first(time.monotonic() - began)
