@@ -187,6 +187,7 @@ def of_kind(store: Store, arena: Arena, name: str, seed: int, **architecture) ->
     return Snapshot(LEAGUE, name, store.blobs.put(data), arena.teams[0].roster, origin="imported")
 
 
+@pytest.mark.slow
 def test_who_remembers_meets_who_does_not_and_scripts(store, arena):
     store.add_snapshots([
         of_kind(store, arena, "wide", 1, recurrent=8), of_kind(store, arena, "small", 2, recurrent=3, layer_norm=True),
