@@ -1,10 +1,13 @@
-"""What a GPU does while something runs: its kernels, as torch's profiler sees those of the whole process."""
+"""What a GPU does while something runs: its kernels, as torch's profiler sees those of a whole process, and graphs."""
 
 import json
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import torch
 
@@ -33,3 +36,24 @@ def profiled(verb: Callable[[], object]) -> dict:
         "launches": sum("LaunchKernel" in name or "GraphLaunch" in name for name in calls),
         "by_name": {name: [round(took, 6), runs[name]] for name, took in seconds.most_common()},
     }
+
+
+@contextmanager
+def captures() -> Iterator[list[float]]:
+    """Seconds of each graph that Warp records meanwhile, which it does for buffers that it has not seen before."""
+    import warp
+
+    took: list[float] = []
+    enter, leave = warp.ScopedCapture.__enter__, warp.ScopedCapture.__exit__
+
+    def begin(capture: warp.ScopedCapture) -> warp.ScopedCapture:
+        took.append(-time.perf_counter())
+        return enter(capture)
+
+    def end(capture: warp.ScopedCapture, *error: object) -> object:
+        left = leave(capture, *error)
+        took[-1] += time.perf_counter()
+        return left
+
+    with patch.multiple(warp.ScopedCapture, __enter__=begin, __exit__=end):
+        yield took

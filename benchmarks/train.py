@@ -15,6 +15,8 @@ decisions/s. The rows:
   kernels that run at the same time all count, so the ratio may be below 1
 - jax: seconds of one team's update / those of the same update in plain JAX, compiled whole (benchmarks/happo_jax.py),
   and how far apart the two end from the same parameters, batch and permutations
+- captures: how often Warp records its graph anew in a turn of rollout and updates, and seconds of that / of the turn
+  (GPU only): XLA may move the buffers that it is called with
 - opponents: rollout and one team's update against K frozen opponents / against one
 - league: a `league run` with past opponents, snapshots, store, rating and recording / rollout and updates alone, before
   and after it; by its curves, which count time within turns, and by the store's dates, which count all
@@ -53,7 +55,7 @@ from agents.happo import Learner  # noqa: E402
 from agents.settings import Precision  # noqa: E402
 from arenas.cores import cores  # noqa: E402
 from benchmarks import happo_jax  # noqa: E402
-from benchmarks.kernels import profiled  # noqa: E402
+from benchmarks.kernels import captures, profiled  # noqa: E402
 from benchmarks.loop import Ground, Loop, ratio, speeds, timed, turns  # noqa: E402
 from benchmarks.memory import memory  # noqa: E402
 from benchmarks.record import commit, machine, spread  # noqa: E402
@@ -155,6 +157,19 @@ def busy(ground: Ground) -> dict:
         "ratio": spread(wall / seconds), "update_seconds": spread(wall, 5), "busy_seconds": spread(seconds, 5),
         "kernels": kernels[-1]["kernels"], "launches": kernels[-1]["launches"], "samples": batch.rewards.numel(),
     }  # fmt: skip
+
+
+def recorded(ground: Ground) -> dict:
+    """Seconds in which Warp records graphs over those of rollouts and updates, turn by turn."""
+    if ground.arena.engine.name != "warp":
+        return {"ratio": None, "why": "Warp alone records graphs"}
+    loop, each, share = ground.loop, [], []
+    for _ in range(ground.repeats):
+        with captures() as took:
+            seconds = loop.play(loop.learn)[0]
+        each.append(len(took))
+        share.append(sum(took) / seconds)
+    return {"ratio": spread(np.array(share)), "captures": each}
 
 
 def settled(learner: Learner, state: Mapping[str, np.ndarray]) -> None:
@@ -290,6 +305,7 @@ ROWS = {
     "training": Row(training, "at least", 0.90, 0.90),
     "busy": Row(busy, "at most", 1.25, None),
     "jax": Row(plain_jax, "at most", 1.15, 1.15),
+    "captures": Row(recorded, "at most", None, None),
     "opponents": Row(opponents, "at least", 0.90, 0.90),
     "league": Row(league, "at least", 0.90, 0.90),
     "memory": Row(memory, "at most", 40.0, 1.01),
