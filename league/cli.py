@@ -53,6 +53,7 @@ LINE = 3000
 
 def main(argv: list[str] | None = None) -> None:
     """Run a command and exit: 0 when it did what was asked, 2 after bad input, 130 after Ctrl-C."""
+    _open_what_is_closed()
     args = list(sys.argv[1:] if argv is None else argv)
     sys.exit(guarded(lambda: _dispatch([a for a in args if a != "--debug"]), "--debug" in args))
 
@@ -71,6 +72,17 @@ def guarded(action: Callable[[], int], debug: bool = False) -> int:
             raise
         print(f"league: {_one_line(error)}", file=sys.stderr)
         return 2 if _is_expected(error) else 1
+
+
+def _open_what_is_closed() -> None:
+    """Have all three standard streams: else the store would be opened as one, and be written to by who prints."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)
+            if null != number:
+                os.dup2(null, number)
+                os.close(null)
+            setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115
 
 
 def _leave(number: int, frame: object) -> None:

@@ -18,7 +18,7 @@ from league.daemon import DaemonError
 from league.prepare import Prepared
 from storage.records import League
 from storage.store import Store
-from tests.league.conftest import ROOT, TINY, call, command
+from tests.league.conftest import ENVIRONMENT, ROOT, TINY, call, command
 
 OWN = """
 from dataclasses import dataclass
@@ -254,3 +254,13 @@ def test_an_arena_of_ones_own_that_is_broken_is_told_before_a_league_is_made(fol
     assert done.returncode == 2
     assert "KeyError: 'no rotor' (own.py:8); `league check own.py:own` examines it" in done.stderr
     assert not (folder / "league-data").exists()
+
+
+def test_streams_that_are_closed_are_no_files_of_the_store(tmp_path):
+    """Without them the store would be opened as one, and whatever is printed would go into it."""
+    text = " ".join(command("run", *TINY, "--steps", "1000", "--budget.rate", "0s"))
+    closed = subprocess.run(["bash", "-c", f"{text} <&- >&- 2>&-"], cwd=tmp_path, env=ENVIRONMENT, timeout=300)
+    assert closed.returncode == 0
+    assert call("verify", cwd=tmp_path).returncode == 0
+    with Store.open(tmp_path / "league-data") as store:
+        assert max(checkpoint.iteration for checkpoint in store.checkpoints("tiny")) > 0
