@@ -5,7 +5,8 @@ kernels may still be queued: `to_torch` tensors must live until torch has finish
 reading its losses back. And torch changes parameters in place, which JAX may not see happen: `to_jax` copies first.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from jax import Array
 from torch import Tensor
 
 from agents.batch import Batch, Side, held
+from agents.outcomes import judged, of_worlds
 from agents.policy import Params
 from agents.rollout import Seen, Trajectory
 from arenas.state import TeamSpec
@@ -50,23 +52,25 @@ def team_batch(
     is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
     For the other teams the decision stays void.
     """
+    watched = {agent.name for t in (team, *others, *common) for agent in t.agents}
+    trajectory = of_worlds(_seen_by(trajectory, watched, privileged), worlds)
 
     def of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec] = (team,)) -> Sequence[Tensor]:
-        return [to_torch(values[agent.name][:, worlds]) for team in teams for agent in team.agents]
+        return [to_torch(values[agent.name]) for team in teams for agent in team.agents]
 
-    rewards, terminated, void = _earned(trajectory, index, worlds, shaping, blame)
+    rewards, terminated, void = map(to_torch, _earned(judged(trajectory), index, shaping, blame))
     sides = []
     if privileged:
         known = (trajectory.observations, trajectory.alive), (trajectory.next_observations, trajectory.next_alive)
         seen, next_seen = (
-            torch.cat([*held(of_agents(own), of_agents(there)), to_torch(whole[:, worlds])], -1)
+            torch.cat([*held(of_agents(own), of_agents(there)), to_torch(whole)], -1)
             for (own, there), whole in zip(known, trajectory.whole, strict=True)
         )
         sides = [Side(seen, next_seen, rewards, terminated, void)]
     for t in sorted(range(len(common)), key=lambda t: t != index):
-        seen = _seen_by_all(trajectory.observations, common, t, worlds)
-        next_seen = _seen_by_all(trajectory.next_observations, common, t, worlds)
-        sides.append(Side(seen, next_seen, *_earned(trajectory, t, worlds, shaping, blame)))
+        seen = _seen_by_all(trajectory.observations, common, t)
+        next_seen = _seen_by_all(trajectory.next_observations, common, t)
+        sides.append(Side(seen, next_seen, *map(to_torch, _earned(judged(trajectory), t, shaping, blame))))
     return Batch(
         of_agents(trajectory.observations),
         of_agents(trajectory.next_observations),
@@ -76,14 +80,14 @@ def team_batch(
         of_agents(trajectory.next_alive),
         rewards,
         terminated,
-        to_torch(trajectory.truncated[:, worlds]),
+        to_torch(trajectory.truncated),
         void,
         of_agents(trajectory.observations, others),
         of_agents(trajectory.next_observations, others),
         of_agents(trajectory.alive, others),
         of_agents(trajectory.next_alive, others),
         sides,
-        *_past(trajectory, team, worlds),
+        *_past(trajectory, team),
         [memory[worlds] for memory in recalled],
     )
 
@@ -106,13 +110,11 @@ def unlearnt(seen: Seen, teams: Sequence[TeamSpec], recurrent: bool) -> Trajecto
     )  # fmt: skip
 
 
-def _past(
-    trajectory: Trajectory, team: TeamSpec, worlds: slice | np.ndarray
-) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+def _past(trajectory: Trajectory, team: TeamSpec) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
     """A batch's `first` and `memories`: empty where the team's policies remember nothing."""
     kept = trajectory.memories or {}
-    memories = [to_torch(kept[agent.name][:, worlds]) for agent in team.agents if agent.name in kept]
-    return [to_torch(trajectory.age[:, worlds] == 1)] if memories else (), memories
+    memories = [to_torch(kept[agent.name]) for agent in team.agents if agent.name in kept]
+    return [to_torch(trajectory.age == 1)] if memories else (), memories
 
 
 def everywhere(remembered: Recalled, worlds: slice | np.ndarray, number: int) -> Recalled:
@@ -123,17 +125,26 @@ def everywhere(remembered: Recalled, worlds: slice | np.ndarray, number: int) ->
     return found
 
 
-def _earned(
-    trajectory: Trajectory, index: int, worlds: slice | np.ndarray, shaping: float, blame: float
-) -> tuple[Tensor, Tensor, Tensor]:
+def _seen_by(trajectory: Trajectory, agents: Collection[str], whole: bool) -> Trajectory:
+    """What these agents saw and did alone, and the whole state only where it is asked for."""
+
+    def own(values: Mapping[str, Array]) -> dict[str, Array]:
+        return {name: array for name, array in values.items() if name in agents}
+
+    return trajectory._replace(
+        observations=own(trajectory.observations), next_observations=own(trajectory.next_observations),
+        actions=own(trajectory.actions), log_probs=own(trajectory.log_probs), alive=own(trajectory.alive),
+        next_alive=own(trajectory.next_alive), whole=trajectory.whole if whole else (),
+        memories=own(trajectory.memories or {}),
+    )  # fmt: skip
+
+
+@partial(jax.jit, static_argnums=1)
+def _earned(trajectory: Trajectory, index: int, shaping: float, blame: float) -> tuple[Array, Array, Array]:
     """A team's rewards (T, N), and where its game ended or is void, (T, N) bool."""
-    own = trajectory.void[:, worlds] & trajectory.culprits[:, worlds, index]
-    rewards = trajectory.reward[:, worlds, index] + shaping * trajectory.shaping[:, worlds, index]
-    return (
-        to_torch(jnp.where(own, -blame, rewards)),
-        to_torch(trajectory.terminated[:, worlds] | own),
-        to_torch(trajectory.void[:, worlds] & ~own),
-    )
+    own = trajectory.void & trajectory.culprits[..., index]
+    rewards = trajectory.reward[..., index] + shaping * trajectory.shaping[..., index]
+    return jnp.where(own, -blame, rewards), trajectory.terminated | own, trajectory.void & ~own
 
 
 def common_order(teams: Sequence[TeamSpec], index: int) -> list[int]:
@@ -153,12 +164,10 @@ def common_size(teams: Sequence[TeamSpec]) -> int:
     return len(teams) + sum(agent.observation_size for team in teams for agent in team.agents)
 
 
-def _seen_by_all(
-    observations: Mapping[str, Array], teams: Sequence[TeamSpec], index: int, worlds: slice | np.ndarray
-) -> Tensor:
+def _seen_by_all(observations: Mapping[str, Array], teams: Sequence[TeamSpec], index: int) -> Tensor:
     """What a critic common to all teams sees when it judges for one of them, (T, N, common_size)."""
     order = common_order(teams, index)
-    seen = [observations[agent.name][:, worlds] for t in order for agent in teams[t].agents]
+    seen = [observations[agent.name] for t in order for agent in teams[t].agents]
     which = jnp.broadcast_to(jax.nn.one_hot(index, len(teams)), (*seen[0].shape[:2], len(teams)))
     return to_torch(jnp.concatenate([which, *seen], axis=-1))
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from agents.policy import Crew, act, remember, units
@@ -218,60 +217,6 @@ def make_play(
         )  # fmt: skip
 
     return _compiled(play)
-
-
-def outcomes(
-    trajectory: Trajectory,
-    index: int,
-    worlds: slice | np.ndarray,
-    everywhere: Callable[[list[float]], list[float]] = lambda sums: sums,
-) -> dict[str, float]:
-    """How a team fared in its `worlds`: figures for its learning curve, all finite.
-
-    `reward` and `shaping` are means per decision that was not void. `episodes` counts those that ended by the rules;
-    their mean `score` and `length` in decisions are there only if one did. `voids` counts the void ones, `own_voids`
-    those that the team's own robots made so. Where other processes have a part of the worlds too, `everywhere` adds
-    theirs to each of some sums.
-    """
-    whole = (trajectory.terminated | trajectory.truncated)[:, worlds] & ~trajectory.cut[:, worlds]
-    void = trajectory.void[:, worlds]
-    own = void & trajectory.culprits[:, worlds, index]
-
-    def total(values: Array, where: Array) -> Array:
-        return jnp.where(where, values, 0).sum()
-
-    score, reward, shaping = (x[:, worlds, index] for x in (trajectory.score, trajectory.reward, trajectory.shaping))
-    found = jnp.stack([
-        whole.sum(), void.sum(), own.sum(), total(score, whole), total(trajectory.age[:, worlds], whole),
-        total(reward, ~void), total(shaping, ~void),
-    ])  # fmt: skip
-    size, episodes, voids, own_voids, *sums = everywhere([void.size, *np.asarray(found).tolist()])
-    decisions = max(size - voids, 1)
-    figures = {
-        "episodes": episodes, "voids": voids, "own_voids": own_voids,
-        "reward": sums[2] / decisions, "shaping": sums[3] / decisions,
-    }  # fmt: skip
-    return {**figures, "score": sums[0] / episodes, "length": sums[1] / episodes} if episodes else figures
-
-
-def results(
-    trajectory: Trajectory,
-    index: int,
-    groups: int,
-    everywhere: Callable[[list[float]], list[float]] = lambda sums: sums,
-) -> np.ndarray:
-    """(groups, 4) Episodes that a team won, drew and lost, and void ones, in each of equal groups of worlds.
-
-    Episodes that were cut count for nobody. Of several other teams the best one counts; a team alone wins where it
-    succeeds. `everywhere` is as for `outcomes`.
-    """
-    own, others = trajectory.score[..., index], jnp.delete(trajectory.score, index, axis=-1)
-    ahead = own - (others.max(-1) if others.shape[-1] else 0.5)
-    whole = (trajectory.terminated | trajectory.truncated) & ~trajectory.cut & ~trajectory.void
-    ended = jnp.stack([whole & (ahead > 0), whole & (ahead == 0), whole & (ahead < 0), trajectory.void], axis=-1)
-    length, number, _ = ended.shape
-    counts = np.asarray(ended.reshape(length, groups, number // groups, 4).sum((0, 2)))
-    return np.array(everywhere(counts.ravel().astype(float).tolist())).reshape(groups, 4)
 
 
 def scripts_of(arena: Arena, kind: str) -> dict[str, Script]:

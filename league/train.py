@@ -21,9 +21,10 @@ from agents.batch import Batch
 from agents.bridge import Recalled, everywhere, to_jax
 from agents.errors import Diverged
 from agents.happo import compare
+from agents.outcomes import outcomes, results
 from agents.parallel import ALONE, Together
 from agents.policy import Crew
-from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, outcomes, remembering, results
+from agents.rollout import Trajectory, Worlds, make_reset, make_restart, make_rollout, remembering
 from arenas.arena import Arena
 from league import memory
 from league.compiled import Compiled

@@ -7,8 +7,9 @@ import numpy as np
 import arenas
 from agents.bridge import team_batch, to_jax
 from agents.happo import Learner
+from agents.outcomes import outcomes
 from agents.policy import crew
-from agents.rollout import make_play, make_reset, make_rollout, outcomes, scripts_of
+from agents.rollout import make_play, make_reset, make_rollout, scripts_of
 from agents.settings import Architecture, HappoConfig
 
 

@@ -11,8 +11,9 @@ import arenas
 from agents.batch import Batch
 from agents.bridge import common_size, team_batch, to_jax
 from agents.happo import Learner
+from agents.outcomes import outcomes
 from agents.policy import crew
-from agents.rollout import make_reset, make_rollout, outcomes, scripts_of
+from agents.rollout import make_reset, make_rollout, scripts_of
 from agents.settings import Architecture, HappoConfig
 
 XOR = torch.tensor([[0.0, 1.0], [1.0, 0.0]])  # one of two robots shall go, and only one

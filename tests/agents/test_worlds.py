@@ -8,8 +8,9 @@ import pytest
 from agents.bridge import team_batch, to_jax
 from agents.errors import Diverged
 from agents.happo import Learner
+from agents.outcomes import outcomes
 from agents.policy import crew
-from agents.rollout import Trajectory, make_reset, make_restart, outcomes, scripts_of
+from agents.rollout import Trajectory, make_reset, make_restart, scripts_of
 from agents.settings import Architecture, HappoConfig
 
 N, GROUPS = 30, 5
