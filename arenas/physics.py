@@ -117,6 +117,10 @@ class Engine(ABC):
         own = self._fields(model or {})
         return self._derive(Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), jnp.zeros((), bool), carry, model=own))
 
+    def prepare(self) -> Callable[[], None]:
+        """Begin, beside what the caller does next, what the first step would take long for; the result waits for it."""
+        return lambda: None
+
     def ahead(self, physics: Physics, command: Array, n_substeps: int, law: Law | None, hold: int) -> Moved | None:
         """The next `hold` control steps under one command, stacked, of an engine that makes them at once; else None."""
         return None

@@ -1,6 +1,7 @@
 """MuJoCo XLA: the engine of accelerators, in JAX or in Warp kernels."""
 
 import copy
+from collections.abc import Callable
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -31,12 +32,29 @@ class MjxEngine(Engine):
     ):
         super().__init__(model, derived)
         self.name = impl
-        self._mjx = mjx.put_model(_boxes(model) if impl == "warp" else model, impl=impl)
+        self._stepped = _boxes(model) if impl == "warp" else model
+        self._mjx = mjx.put_model(self._stepped, impl=impl)
         self._buffers: dict[str, int] = {}
         if impl == "warp":
             # One contact pool serves all worlds; overflow is read below and voids the episode: no need to print it.
             self._mjx = self._mjx.tree_replace({"opt._impl.warn_overflow": 0})
             self._buffers = {"naconmax": contacts * worlds, "njmax": rows}
+            self._of_one = {"contacts": contacts, "rows": rows}
+
+    def prepare(self) -> Callable[[], None]:
+        """Begin to load Warp's kernels."""
+        if self.name != "warp":
+            return super().prepare()
+        from arenas import kernels  # Warp need not be installed where it does not step
+
+        return kernels.begin(self._stepped, ["step", *self._refresh], **self._of_one)
+
+    @property
+    def _refresh(self) -> list[str]:
+        """The verb of MJX, and of Warp, that fills the derived fields, where there are any."""
+        if not self.derived:
+            return []
+        return ["forward" if set(self.derived) & set(DYNAMICS) else "kinematics"]
 
     def _carry(self, qpos: Array, qvel: Array, ctrl: Array, warmstart: Array, act: Array) -> Any:
         data = mjx.make_data(self.model, impl=self.name, **self._buffers)
@@ -72,10 +90,9 @@ class MjxEngine(Engine):
         )
 
     def _derive(self, physics: Physics) -> Physics:
-        if not self.derived:
+        if not self._refresh:
             return physics
-        refresh = mjx.forward if set(self.derived) & set(DYNAMICS) else mjx.kinematics
-        data = refresh(self._own(physics), physics.carry)
+        data = getattr(mjx, *self._refresh)(self._own(physics), physics.carry)
         values = stackable(*(getattr(data, name) for name in self.derived))
         return physics._replace(carry=data, **dict(zip(self.derived, values, strict=True)))
 

@@ -14,7 +14,8 @@ class Compiled:
 
     def __init__(self, program: jax.stages.Wrapped, arena: Arena):
         self._program = program
-        self._loads_late = arena.engine.name == "warp"  # its kernels are compiled and loaded when they first run
+        self._loads_late = arena.engine.name == "warp"  # its kernels are put into graphs when they first run
+        self._engine_ready = arena.engine.prepare()  # its kernels are compiled while XLA compiles the program
         self._ready: dict[object, Callable[..., Any]] = {}
         self.bytes = 0  # that the program takes which was compiled last
 
@@ -25,6 +26,7 @@ class Compiled:
         if shape not in self._ready:
             compiled = self._ready[shape] = self._program.lower(*args).compile()
             self.bytes = of_program(compiled)
+            self._engine_ready()
             if self._loads_late:
                 copies = jax.tree.map(lambda x: x.copy(), args)  # a run may use its arguments up
                 jax.block_until_ready(self._ready[shape](*copies))
