@@ -27,7 +27,9 @@ class ActorLearner:
         self.rate = torch.tensor(config.lr, device=device)  # what Adam steps by: `lr`, or what has decayed of it
         self.optimizer = adam(network, self.rate)
         self.tally = Tally(FIGURES, device)
-        self.loss = fused(surrogate_loss, config.compiled)
+        self.surrogate_loss = fused(surrogate_loss, config.compiled)
+        self.loss = fused(self._loss, config.compiled and together.size == 1)  # messages are no part of kernels
+        self.step = fused(self._step, config.compiled)
 
     @torch.no_grad()
     def share(self, batch: Batch, M: Tensor, A_hat: Sequence[Tensor]) -> Share:
@@ -69,17 +71,25 @@ class ActorLearner:
         """One pass over the rows in this order; () the mean KL divergence of its minibatches."""
         c, before = self.config, self.tally.sums.clone()
         for minibatch in minibatches(share, order, c.minibatches):
-            part, taught = parts(minibatch.valid, self.together)
-            loss, found = self.loss(self.network, minibatch, part, c)
-            mine = (*slope(self.network, loss), loss, found["entropy"], found["rise"], found["kl"])
+            loss, found, taught = self.loss(minibatch)
+            mine = (*slope(self.network, loss), loss.detach(), found["entropy"], found["rise"], found["kl"])
             *gradient, loss, entropy, rise, kl = self.together.sum(*mine)
-            if c.kl_step is not None:
+            if c.kl_step is not None:  # not in what is compiled: torch 2.13 leaves out what it writes to a float64 ()
                 self._adapt(kl, c.kl_step)
-            norm = step(self.optimizer, self.network, gradient, c.max_grad_norm, taught)
-            self.tally.note(
-                taught, policy_loss=loss, entropy=entropy, ratio=1 + rise, kl=kl, actor_grad_norm=norm
-            )  # fmt: skip
+            self.step(gradient, taught, loss, entropy, rise, kl)
         return self.tally.mean("kl", before)
+
+    def _loss(self, share: Share) -> tuple[Tensor, dict[str, Tensor], Tensor]:
+        """The loss of a minibatch and its figures; and whether any decision counts, () 1 or 0."""
+        part, taught = parts(share.valid, self.together)
+        return *self.surrogate_loss(self.network, share, part, self.config), taught
+
+    def _step(
+        self, gradient: Sequence[Tensor], taught: Tensor, loss: Tensor, entropy: Tensor, rise: Tensor, kl: Tensor
+    ) -> None:
+        """A step of Adam down the gradient, and the figures of the minibatch that it is from."""
+        norm = step(self.optimizer, self.network, gradient, self.config.max_grad_norm, taught)
+        self.tally.note(taught, policy_loss=loss, entropy=entropy, ratio=1 + rise, kl=kl, actor_grad_norm=norm)
 
     def _adapt(self, kl: Tensor, target: float) -> None:
         """Smaller steps where the policy moved by more than twice the target, larger ones below half of it."""
@@ -103,6 +113,6 @@ def surrogate_loss(network: Actor, share: Share, part: Tensor, c: HappoConfig) -
     surrogate = share.MA + (rise * share.MA).clamp(max=c.clip * share.MA.abs())
     entropy = (policy.entropy().sum(-1) * part).sum()
     loss = -(surrogate * part).sum() - c.entropy * entropy
-    rise, log_ratio = rise.detach(), log_ratio.detach()
+    entropy, rise, log_ratio = entropy.detach(), rise.detach(), log_ratio.detach()
     kl = ((rise - log_ratio) * part).sum()  # never negative, and of low variance (Schulman, 2020)
     return loss, {"entropy": entropy, "rise": (rise * part).sum(), "kl": kl}

@@ -32,7 +32,9 @@ class CriticLearner:
         self.optimizer = adam(network, self.rate)
         self.tally = Tally(("value_loss", "critic_grad_norm"), device)
         self.fit = Tally(("explained_variance",), device)
-        self.loss = fused(value_loss, config.compiled)
+        self.value_loss = fused(value_loss, config.compiled)
+        self.loss = fused(self._loss, config.compiled and together.size == 1)  # messages are no part of kernels
+        self.step = fused(self._step, config.compiled)
 
     @torch.no_grad()
     def criticise(self, batch: Batch) -> Critique:
@@ -88,14 +90,22 @@ class CriticLearner:
         """One pass over the rows in this order."""
         c = self.config
         held = critique.seen, critique.predictions, critique.returns, critique.valid
-        for seen, old, R, valid in minibatches(held, order, c.minibatches):
-            part, taught = parts(valid, self.together)
-            if c.value_norm:
-                self.value_norm.update(R, part, taught, self.together)
-            loss = self.loss(self.network, seen, old, self._normalise(R), part, c)
-            *gradient, loss = self.together.sum(*slope(self.network, loss), loss)
-            norm = step(self.optimizer, self.network, gradient, c.max_grad_norm, taught)
-            self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
+        for minibatch in minibatches(held, order, c.minibatches):
+            loss, taught = self.loss(*minibatch)
+            *gradient, loss = self.together.sum(*slope(self.network, loss), loss.detach())
+            self.step(gradient, taught, loss)
+
+    def _loss(self, seen: Tensor | Sequences, old: Tensor, R: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+        """The loss of a minibatch, whose returns the normaliser sees; and whether any decision counts, () 1 or 0."""
+        part, taught = parts(valid, self.together)
+        if self.config.value_norm:
+            self.value_norm.update(R, part, taught, self.together)
+        return self.value_loss(self.network, seen, old, self._normalise(R), part, self.config), taught
+
+    def _step(self, gradient: Sequence[Tensor], taught: Tensor, loss: Tensor) -> None:
+        """A step of Adam down the gradient, and the figures of the minibatch that it is from."""
+        norm = step(self.optimizer, self.network, gradient, self.config.max_grad_norm, taught)
+        self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
 
     @torch.no_grad()
     def explain(self, critique: Critique) -> None:

@@ -4,6 +4,7 @@ Only `means` asks the device for numbers: all that comes before it can be replay
 """
 
 import inspect
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import ParamSpec, TypeVar
@@ -20,7 +21,7 @@ T = TypeVar("T")
 Rows = TypeVar("Rows")  # tensors (B, ...) in lists and tuples
 
 BETAS, EPSILON = (0.9, 0.999), 1e-5
-MOST_COMPILED = 256  # networks whose losses one process compiles; torch's own limit of 8 is two teams of four
+MOST_COMPILED = 256  # networks for which one process compiles a function; torch's own limit of 8 is two teams of four
 
 
 class Adam(torch.optim.Adam):
@@ -68,27 +69,57 @@ def slope(module: nn.Module, loss: Tensor) -> Sequence[Tensor]:
     return torch.autograd.grad(loss, list(module.parameters()))
 
 
-def fused(loss: Callable[P, T], on: bool) -> Callable[P, T]:
-    """A loss whose kernels, and those of its gradient, torch.compile makes few of where that is on.
+def fused(function: Callable[P, T], on: bool) -> Callable[P, T]:
+    """A function whose kernels, and those of its gradient, torch.compile makes few of where that is on.
 
-    Each network's shape is compiled once, at its first minibatch; recorded graphs then hold what was compiled.
+    It is compiled once for each network, at its first minibatch, with all that it calls, which may be fused too.
+    Recorded graphs then hold what was compiled.
     """
     if not on:
-        return loss
+        return function
     torch.compiler.config.recompile_limit = MOST_COMPILED
-    return torch.compile(loss, fullgraph=True, dynamic=False)
+    return torch.compile(function, fullgraph=True, dynamic=False)
 
 
 def step(
     optimizer: Adam, module: nn.Module, gradient: Sequence[Tensor], max_grad_norm: float, taught: Tensor
 ) -> Tensor:
-    """One step of Adam, if `taught` () is 1 and not 0; returns the norm of the gradient before it was scaled down."""
+    """One step of Adam, if `taught` () is 1 and not 0; returns the norm of the gradient before it was scaled down.
+
+    Where it is compiled it is written out, for torch's own kernels cannot be fused with what stands around them.
+    """
     parameters = list(module.parameters())
+    if torch.compiler.is_compiling():
+        return _written_out(optimizer, parameters, gradient, max_grad_norm, taught > 0)
     for parameter, own in zip(parameters, gradient, strict=True):
         parameter.grad = own
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimizer.found_inf = 1 - taught
     optimizer.step()
+    return norm
+
+
+@torch.no_grad()
+def _written_out(
+    optimizer: Adam, parameters: Sequence[Tensor], gradient: Sequence[Tensor], max_grad_norm: float, on: Tensor
+) -> Tensor:
+    """`step` where it is `on` () bool; else all is kept, whatever the gradient holds.
+
+    What torch._foreach does to a list is one kernel for all of it, into which the rest is fused; a loop's is one each.
+    """
+    lr, (beta1, beta2) = optimizer.param_groups[0]["lr"], BETAS
+    norm = torch.cat([g.flatten() for g in gradient]).norm()
+    scale = (max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
+    scaled = torch._foreach_mul(list(gradient), scale)  # pyright: ignore[reportPrivateImportUsage]
+    old, new = [], []
+    for theta, g in zip(parameters, scaled, strict=True):
+        t, m, v = (optimizer.state[theta][name] for name in ("step", "exp_avg", "exp_avg_sq"))
+        old += [theta, t, m, v]
+        t, m, v = t + 1, m.lerp(g, 1 - beta1), v.lerp(g**2, 1 - beta2)
+        bias1, bias2 = (-torch.expm1(t * math.log(beta)) for beta in BETAS)  # 1 − βᵗ, with all its digits
+        new += [theta - lr * (m / bias1) / (torch.sqrt(v / bias2) + EPSILON), t, m, v]
+    kept = [torch.where(on, after, before) for after, before in zip(new, old, strict=True)]
+    torch._foreach_copy_(old, kept)  # pyright: ignore[reportPrivateImportUsage]
     return norm
 
 
