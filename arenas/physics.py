@@ -118,7 +118,10 @@ class Engine(ABC):
         return self._derive(Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), jnp.zeros((), bool), carry, model=own))
 
     def prepare(self) -> Callable[[], None]:
-        """Begin, beside what the caller does next, what the first step would take long for; the result waits for it."""
+        """Begin, in threads, what the first step would take long for; what this returns waits for its end.
+
+        Meanwhile nothing may be asked of the engine.
+        """
         return lambda: None
 
     def ahead(self, physics: Physics, command: Array, n_substeps: int, law: Law | None, hold: int) -> Moved | None:

@@ -14,8 +14,8 @@ class Compiled:
 
     def __init__(self, program: jax.stages.Wrapped, arena: Arena):
         self._program = program
+        self._engine = arena.engine
         self._loads_late = arena.engine.name == "warp"  # its kernels are put into graphs when they first run
-        self._engine_ready = arena.engine.prepare()  # its kernels are compiled while XLA compiles the program
         self._ready: dict[object, Callable[..., Any]] = {}
         self.bytes = 0  # that the program takes which was compiled last
 
@@ -24,9 +24,12 @@ class Compiled:
         leaves, structure = jax.tree.flatten(args)
         shape = structure, tuple((x.shape, x.dtype) for x in leaves)
         if shape not in self._ready:
-            compiled = self._ready[shape] = self._program.lower(*args).compile()
+            lowered = self._program.lower(*args)
+            # Only while XLA compiles: where threads load kernels while Warp is called, it may lose the stream it is on.
+            kernels_loaded = self._engine.prepare()
+            compiled = self._ready[shape] = lowered.compile()
+            kernels_loaded()
             self.bytes = of_program(compiled)
-            self._engine_ready()
             if self._loads_late:
                 copies = jax.tree.map(lambda x: x.copy(), args)  # a run may use its arguments up
                 jax.block_until_ready(self._ready[shape](*copies))
