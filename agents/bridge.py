@@ -5,6 +5,7 @@ kernels may still be queued: `to_torch` tensors must live until torch has finish
 reading its losses back. And torch changes parameters in place, which JAX may not see happen: `to_jax` copies first.
 """
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 
@@ -176,14 +177,15 @@ def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:
     """Actors' state dicts as policies: all floats cross as one flat vector, for each crossing costs 0.1 ms."""
     floats = [t for p in policies for t in p.values() if t.is_floating_point()]
     flat = jax.dlpack.from_dlpack(torch.cat([t.flatten() for t in floats]))  # cat copies
-    out, start = [], 0
-    for policy in policies:
-        arrays: dict[str, Array] = {}
-        for name, tensor in policy.items():
-            if tensor.is_floating_point():
-                arrays[name] = flat[start : start + tensor.numel()].reshape(tuple(tensor.shape))
-                start += tensor.numel()
-            else:
-                arrays[name] = jnp.asarray(tensor.cpu().numpy())
-        out.append(arrays)
-    return out
+    arrays = iter(_apart(flat, tuple(tuple(t.shape) for t in floats)))
+    return [
+        {name: next(arrays) if t.is_floating_point() else jnp.asarray(t.cpu().numpy()) for name, t in policy.items()}
+        for policy in policies
+    ]
+
+
+@partial(jax.jit, static_argnums=1)
+def _apart(flat: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Arrays of these shapes, which lie one after the other; in one program, for each by itself costs as much."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    return [part.reshape(shape) for part, shape in zip(jnp.split(flat, ends[:-1]), shapes, strict=True)]
