@@ -6,7 +6,7 @@ reading its losses back. And torch changes parameters in place, which JAX may no
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import jax
@@ -17,7 +17,7 @@ from jax import Array
 from torch import Tensor
 
 from agents.batch import Batch, Side, held
-from agents.outcomes import judged, of_worlds
+from agents.outcomes import of_worlds, watched
 from agents.policy import Params
 from agents.rollout import Seen, Trajectory
 from arenas.state import TeamSpec
@@ -53,13 +53,13 @@ def team_batch(
     is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
     For the other teams the decision stays void.
     """
-    watched = {agent.name for t in (team, *others, *common) for agent in t.agents}
-    trajectory = of_worlds(_seen_by(trajectory, watched, privileged), worlds)
+    names = {agent.name for t in (team, *others, *common) for agent in t.agents}
+    trajectory = of_worlds(watched(trajectory, names, privileged), worlds)
 
     def of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec] = (team,)) -> Sequence[Tensor]:
         return [to_torch(values[agent.name]) for team in teams for agent in team.agents]
 
-    rewards, terminated, void = map(to_torch, _earned(judged(trajectory), index, shaping, blame))
+    rewards, terminated, void = map(to_torch, _earned(watched(trajectory), index, shaping, blame))
     sides = []
     if privileged:
         known = (trajectory.observations, trajectory.alive), (trajectory.next_observations, trajectory.next_alive)
@@ -71,7 +71,7 @@ def team_batch(
     for t in sorted(range(len(common)), key=lambda t: t != index):
         seen = _seen_by_all(trajectory.observations, common, t)
         next_seen = _seen_by_all(trajectory.next_observations, common, t)
-        sides.append(Side(seen, next_seen, *map(to_torch, _earned(judged(trajectory), t, shaping, blame))))
+        sides.append(Side(seen, next_seen, *map(to_torch, _earned(watched(trajectory), t, shaping, blame))))
     return Batch(
         of_agents(trajectory.observations),
         of_agents(trajectory.next_observations),
@@ -124,20 +124,6 @@ def everywhere(remembered: Recalled, worlds: slice | np.ndarray, number: int) ->
     for whole, memory in zip(found, remembered, strict=True):
         whole[worlds] = memory
     return found
-
-
-def _seen_by(trajectory: Trajectory, agents: Collection[str], whole: bool) -> Trajectory:
-    """What these agents saw and did alone, and the whole state only where it is asked for."""
-
-    def own(values: Mapping[str, Array]) -> dict[str, Array]:
-        return {name: array for name, array in values.items() if name in agents}
-
-    return trajectory._replace(
-        observations=own(trajectory.observations), next_observations=own(trajectory.next_observations),
-        actions=own(trajectory.actions), log_probs=own(trajectory.log_probs), alive=own(trajectory.alive),
-        next_alive=own(trajectory.next_alive), whole=trajectory.whole if whole else (),
-        memories=own(trajectory.memories or {}),
-    )  # fmt: skip
 
 
 @partial(jax.jit, static_argnums=1)

@@ -1,6 +1,6 @@
 """What came of a rollout. Each answer is one program, for JAX takes up to a millisecond to begin a single operation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 
 import jax
@@ -11,6 +11,23 @@ from jax import Array
 from agents.rollout import Trajectory
 
 ALL = slice(None)
+
+
+def watched(trajectory: Trajectory, agents: Collection[str] = (), whole: bool = False) -> Trajectory:
+    """The trajectory with what these agents alone saw and did, and the whole state only where it is asked for.
+
+    Each array that is handed to a program costs time, and is copied where some of the worlds are chosen.
+    """
+
+    def own(values: Mapping[str, Array]) -> dict[str, Array]:
+        return {name: array for name, array in values.items() if name in agents}
+
+    return trajectory._replace(
+        observations=own(trajectory.observations), next_observations=own(trajectory.next_observations),
+        actions=own(trajectory.actions), log_probs=own(trajectory.log_probs), alive=own(trajectory.alive),
+        next_alive=own(trajectory.next_alive), whole=trajectory.whole if whole else (),
+        memories=own(trajectory.memories or {}),
+    )  # fmt: skip
 
 
 def of_worlds(trajectory: Trajectory, worlds: slice | np.ndarray) -> Trajectory:
@@ -36,7 +53,7 @@ def outcomes(
     length, number = trajectory.void.shape
     chosen = np.arange(number)[worlds]
     size, episodes, voids, own_voids, *sums = everywhere(
-        [length * chosen.size, *np.asarray(_sums(judged(trajectory), index, chosen)).tolist()]
+        [length * chosen.size, *np.asarray(_sums(watched(trajectory), index, chosen)).tolist()]
     )
     decisions = max(size - voids, 1)
     figures = {
@@ -57,16 +74,8 @@ def results(
     Episodes that were cut count for nobody. Of several other teams the best one counts; a team alone wins where it
     succeeds. `everywhere` is as for `outcomes`.
     """
-    counts = np.asarray(_ended(judged(trajectory), index, groups))
+    counts = np.asarray(_ended(watched(trajectory), index, groups))
     return np.array(everywhere(counts.ravel().astype(float).tolist())).reshape(groups, 4)
-
-
-def judged(trajectory: Trajectory) -> Trajectory:
-    """The trajectory without what agents saw and did, where how it went is all that is asked."""
-    return trajectory._replace(
-        observations={}, next_observations={}, actions={}, log_probs={}, alive={}, next_alive={}, whole=(),
-        memories=None,
-    )  # fmt: skip
 
 
 @jax.jit

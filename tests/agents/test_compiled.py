@@ -40,10 +40,12 @@ def assert_alike(variant: dict[str, Any], device: str, experience, rounding: flo
     for seed in range(3):
         batch = experienced(experience, plain, seed, N=6)
         one, other = compiled.update(batch), plain.update(batch)
-        assert one == pytest.approx(other, rel=10 * rounding, abs=rounding)
-    theirs = plain.state()
-    for name, array in compiled.state().items():
-        np.testing.assert_allclose(array, theirs[name], rtol=rounding, atol=rounding, err_msg=name)
+        # HATRPO's natural gradient takes what the critic says, whose last digit by then differs, ten times as hard.
+        bound = 50 * rounding if seed and variant.get("method") == "hatrpo" else rounding
+        assert one == pytest.approx(other, rel=10 * bound, abs=bound)
+        theirs = plain.state()
+        for name, array in compiled.state().items():
+            np.testing.assert_allclose(array, theirs[name], rtol=bound, atol=bound, err_msg=name)
 
 
 @pytest.fixture
@@ -54,10 +56,7 @@ def eager(monkeypatch) -> None:
 
 @pytest.mark.parametrize("variant", EVERY_UPDATE.values(), ids=EVERY_UPDATE)
 def test_every_variant_is_one_graph(variant: dict, experience, eager):
-    rounding = 1e-2 if "precision" in variant else 1e-6
-    if variant.get("method") == "hatrpo":
-        rounding = 1e-4  # a last digit of the critic's weights moves its natural gradient by 1e-5
-    assert_alike(variant, "cpu", experience, rounding)
+    assert_alike(variant, "cpu", experience, 1e-2 if "precision" in variant else 1e-6)
 
 
 def test_what_ranks_tell_each_other_is_not_compiled(experience, eager):
