@@ -106,6 +106,8 @@ def _written_out(
     """`step` where it is `on` () bool; else all is kept, whatever the gradient holds.
 
     What torch._foreach does to a list is one kernel for all of it, into which the rest is fused; a loop's is one each.
+    No list may hold two tensors of one parameter: the compiler takes a list's tensors for independent of each other,
+    and on a GPU a parameter was moved by what another block of the same kernel had yet to write (torch 2.11).
     """
     lr, (beta1, beta2) = optimizer.param_groups[0]["lr"], BETAS
     norm = torch.cat([g.flatten() for g in gradient]).norm()
@@ -114,12 +116,13 @@ def _written_out(
     old, new = [], []
     for theta, g in zip(parameters, scaled, strict=True):
         t, m, v = (optimizer.state[theta][name] for name in ("step", "exp_avg", "exp_avg_sq"))
-        old += [theta, t, m, v]
+        old.append((theta, t, m, v))
         t, m, v = t + 1, m.lerp(g, 1 - beta1), v.lerp(g**2, 1 - beta2)
         bias1, bias2 = (-torch.expm1(t * math.log(beta)) for beta in BETAS)  # 1 − βᵗ, with all its digits
-        new += [theta - lr * (m / bias1) / (torch.sqrt(v / bias2) + EPSILON), t, m, v]
-    kept = [torch.where(on, after, before) for after, before in zip(new, old, strict=True)]
-    torch._foreach_copy_(old, kept)  # pyright: ignore[reportPrivateImportUsage]
+        new.append((theta - lr * (m / bias1) / (torch.sqrt(v / bias2) + EPSILON), t, m, v))
+    for before, after in zip(zip(*old, strict=True), zip(*new, strict=True), strict=True):
+        kept = [torch.where(on, b, a) for a, b in zip(before, after, strict=True)]
+        torch._foreach_copy_(list(before), kept)  # pyright: ignore[reportPrivateImportUsage]
     return norm
 
 

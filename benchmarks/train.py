@@ -12,7 +12,7 @@ decisions/s. The rows:
 - rollout: rollout of the learning policies of all teams / the bare engine that replays the same controls
 - training: rollout and updates of all teams / that rollout alone
 - busy: seconds of one team's update / seconds of GPU kernels within it, as torch's profiler has them (GPU only);
-  kernels that run at the same time all count, so the ratio may be below 1
+  kernels that run at the same time all count, so the ratio may be below 1; and the longest kernels by name
 - jax: seconds of one team's update / those of the same update in plain JAX, compiled whole (benchmarks/happo_jax.py),
   and how far apart the two end from the same parameters, batch and permutations
 - captures: how often Warp records its graph anew in a turn of rollout and updates, and seconds of that / of the turn
@@ -65,6 +65,7 @@ from league.versions import versions  # noqa: E402
 from storage.store import Store  # noqa: E402
 
 OPPONENTS = (16, 64)  # how many frozen ones
+LONGEST = 40  # of an update's kernels, as many are told by name
 QUICKSTART_WORLDS = 256
 LEAGUE = "benchmark"
 PAST = ["--training.opponents.kind", "uniform", "--training.opponents.past", "0.25"]  # by default there are none
@@ -156,6 +157,7 @@ def busy(ground: Ground) -> dict:
     return {
         "ratio": spread(wall / seconds), "update_seconds": spread(wall, 5), "busy_seconds": spread(seconds, 5),
         "kernels": kernels[-1]["kernels"], "launches": kernels[-1]["launches"], "samples": batch.rewards.numel(),
+        "by_name": dict(list(kernels[-1]["by_name"].items())[:LONGEST]),
     }  # fmt: skip
 
 

@@ -16,7 +16,11 @@ from agents.parallel import ALONE, Together
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
 HERE = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))]
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of torch.compile itself
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # of torch.compile itself
+    pytest.mark.filterwarnings("ignore:TensorFloat32 tensor cores"),  # its advice, which learner.precision is for
+]
 
 
 class Twins(Together):
