@@ -18,9 +18,10 @@ from torch.distributions import Normal
 
 from agents.batch import Sequences
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
+from agents.tanh import tanh
 
 _GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_gain; elu has none there
-_APPLY = {"tanh": torch.tanh, "relu": torch.relu, "elu": nn.functional.elu}
+_APPLY = {"tanh": tanh, "relu": torch.relu, "elu": nn.functional.elu}
 LAST_LAYER_GAIN = 0.01
 NODES = 16  # of the quadrature of a squashed policy's entropy
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
@@ -88,7 +89,7 @@ class GRU(nn.Module):
             memory = memory.masked_fill(begins[:, None], 0.0)
             own = nn.functional.linear(memory, self.weight_hh, self.bias_hh)
             r, z = torch.sigmoid(new[:, : 2 * units] + own[:, : 2 * units]).chunk(2, -1)
-            n = torch.tanh(new[:, 2 * units :] + r * own[:, 2 * units :])
+            n = tanh(new[:, 2 * units :] + r * own[:, 2 * units :])
             memory = n + z * (memory - n)
             states.append(memory)
         return torch.stack(states, 1)
