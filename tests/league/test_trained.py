@@ -16,6 +16,7 @@ MET = {
     "anymals-sumo": ("pusher:red", 0.7), "leatherbacks-sumo": ("trot:blue", 0.7),
     "anymal-score": (None, 0.08), "leatherback-score": (None, 0.4),
     "anymal-ball": (None, 0.9), "minitank-aim": (None, 0.9), "crazyflie-fly": (None, 0.9),
+    "minitank-galaga": ("dodger:red", 0.9), "crazyflie-galaga": ("random:blue", 0.85),
 }  # fmt: skip
 """Against whom, and at least which score."""
 
@@ -29,7 +30,8 @@ def test_each_is_tried():
 def test_it_plays_as_it_learnt(name, tmp_path):
     opponent, asked = MET[name]
     about = exchange.read(exchange.find(name)).about
-    config = configuration.default(about["arena"]["arena"])
+    learnt = configuration.loads(about["settings"])
+    config = replace(configuration.default(learnt.arena.name), arena=learnt.arena)
     config = replace(config, rating=replace(config.rating, worlds=128, pairings=1, record=False))
     arena = config.arena.build(engine="c", worlds=128)
     with Store.open(tmp_path, create=True) as store:
