@@ -47,15 +47,24 @@ def manage(task: Task, leads: Callable[[], None] = lambda: None, standby: Standb
             _walk(store, task, config, leads)
         elif _run(store, task.where, config, task.prepared, leads, standby) != "stopped":
             print(f"\n{summary(config, curriculum.standing(store, config))}")
-            _refuse_too_large(store, config)
+            _refuse_set_aside(store, config)
     return 0
 
 
-def _refuse_too_large(store: Store, config: Config) -> None:
-    """Raise DaemonError, one line with what would fit, where training ran out of memory and therefore ended."""
+def _refuse_set_aside(store: Store, config: Config) -> None:
+    """Raise DaemonError, one line, where a turn of training was set aside: its players have learnt no further.
+
+    Where memory was short it says what would fit.
+    """
     for job in store.jobs(config.league, "failed"):
-        if job.kind == TrainingTurn.kind and (job.error or "").startswith(SHORT):
-            raise DaemonError(str(job.error))
+        if job.kind == TrainingTurn.kind:
+            why = (job.error or "no reason was given").strip().splitlines()[0]
+            if why.startswith(SHORT):
+                raise DaemonError(why)
+            raise DaemonError(
+                f"a turn of training was set aside, and who was to learn in it learnt no further: {why}"
+                " (`league status` tells more; the same command tries it again)"
+            )
 
 
 def _run(
@@ -90,7 +99,7 @@ def _walk(store: Store, task: Task, config: Config, leads: Callable[[], None]) -
                     return
             leads, standing = (lambda: None), curriculum.standing(store, stage)
         why = curriculum.ended(stage, standing)
-        _refuse_too_large(store, stage)
+        _refuse_set_aside(store, stage)
         if why is None and not last:
             raise DaemonError(
                 f"stage {config.stages[number].name} stands still before its end, and the next one does not begin:"

@@ -68,3 +68,23 @@ def test_the_first_interrupt_drains_and_the_second_ends_all_at_once(tmp_path):
     run.send_signal(signal.SIGINT)
     assert run.wait(timeout=30) == 130
     assert are_gone(found)
+
+
+@pytest.mark.slow  # two leagues begin, a quarter of a minute
+def test_a_run_whose_training_was_set_aside_says_so_and_what_is_done_again_ends_well(tmp_path):
+    run = ("run", *GAME, "--workers.match", "0", "--workers.tries", "1", "--budget.rate", "0s", "--budget.steps")
+    assert call(*run, "2048", cwd=tmp_path).returncode == 0
+    with Store.open(tmp_path / "league-data") as store:
+        digest = store.newest_checkpoints("tiny")["red"].digest
+        (blob,) = (tmp_path / "league-data" / "blobs").rglob(digest[2:])
+    kept = blob.read_bytes()
+    blob.unlink()
+    told = call(*run, "4096", cwd=tmp_path)
+    assert told.returncode == 2
+    (line,) = told.stderr.splitlines()
+    assert line.startswith("league: a turn of training was set aside")
+    assert digest in line
+    blob.write_bytes(kept)
+    assert call(*run, "4096", cwd=tmp_path).returncode == 0
+    with Store.open(tmp_path / "league-data") as store:
+        assert store.newest_checkpoints("tiny")["red"].step >= 4096
