@@ -16,8 +16,7 @@ from league.config.experiment import Config
 from league.config.schema import ConfigError
 from league.jobs import RatingMatch, encode
 from league.measures import can_meet
-from league.query import Open, require_whole
-from storage.errors import UnknownName
+from league.query import Open
 from storage.records import ArenaKey, Match, PairCounts, Purpose, Snapshot
 
 if TYPE_CHECKING:
@@ -78,24 +77,22 @@ class Bout:
 
 
 def bout(opened: Open, a: str, b: str | None) -> Bout:
-    """Two snapshots by name. Raises UnknownName, or ConfigError, one line, where they cannot meet."""
-    known = {s.name: s for s in opened.store.snapshots(opened.league)}
-    for name in (a, b):
-        if name is not None and name not in known:
-            raise UnknownName("snapshot", name, known)
-        if name is not None:
-            require_whole(known[name], known.values())
+    """Two snapshots, as `Open.snapshot` names them.
+
+    Raises UnknownName, or ConfigError, one line, where they cannot meet.
+    """
+    one, other = opened.snapshot(a), None if b is None else opened.snapshot(b)
     players = opened.store.players(opened.league)
     one_team = len({p.team for p in players}) == 1
     if one_team != (b is None):
         why = "has one team, in which no two meet; `league play` takes one snapshot there"
         raise ConfigError((), f"league {opened.league} {why if one_team else 'has several teams: name two snapshots'}")
-    if b is not None and not can_meet(known[a], known[b], players):
+    if other is not None and not can_meet(one, other, players):
         raise ConfigError(
-            (), f"{a} ({known[a].roster}) and {b} ({known[b].roster}) cannot sit on two sides of league"
+            (), f"{one.name} ({one.roster}) and {other.name} ({other.roster}) cannot sit on two sides of league"
             f" {opened.league}'s arena: `league snapshots --format json` tells everyone's roster",
         )  # fmt: skip
-    return Bout(opened, known[a], None if b is None else known[b])
+    return Bout(opened, one, other)
 
 
 def exhibition(found: Bout, episodes: int, recordings: int) -> list[Match]:

@@ -21,7 +21,7 @@ from safetensors.numpy import save
 
 from agents.settings import ACTIVATIONS
 from league.config.schema import ConfigError
-from league.query import Open, require_whole
+from league.query import Open
 from league.rated import Row, rating_rows
 from matchmaking.ladder import Ladder
 from storage import arrays
@@ -56,11 +56,7 @@ class Policy(NamedTuple):
 
 def export(league: Open, name: str) -> Policy:
     """A snapshot of a league with what the store knows of it. Raises UnknownName, StorageError (a script, damage)."""
-    snapshots = {s.name: s for s in league.store.snapshots(league.league)}
-    if name not in snapshots:
-        raise UnknownName("snapshot", name, snapshots)
-    snapshot = snapshots[name]
-    require_whole(snapshot, snapshots.values())
+    snapshot = league.snapshot(name)
     if snapshot.script is not None:
         raise StorageError(f"{name} is a script, which has no weights to export; every league of its arena has it.")
     found = arrays.from_bytes(league.store.blobs.get(snapshot.digest))
@@ -68,18 +64,16 @@ def export(league: Open, name: str) -> Policy:
         agents = agents_of(found, snapshot.roster)
     except ValueError as error:
         raise StorageError(f"{name} is of a network that this version cannot export: {shortened(error)}.") from None
-    return Policy(found, about(league, snapshot, snapshots, agents))
+    return Policy(found, about(league, snapshot, agents))
 
 
-def about(
-    league: Open, snapshot: Snapshot, snapshots: Mapping[str, Snapshot], agents: list[dict[str, Any]]
-) -> dict[str, Any]:
+def about(league: Open, snapshot: Snapshot, agents: list[dict[str, Any]]) -> dict[str, Any]:
     """What the store knows of a snapshot, as JSON: whose it is, what it fits, where and how it learnt, its rating."""
     return {
         "format": FORMAT, "league": league.league, "name": snapshot.name, "digest": snapshot.digest,
         "player": snapshot.player, "origin": snapshot.origin, "roster": snapshot.roster, "agents": agents,
         "arena": snapshot.arena._asdict() if snapshot.arena else None, "settings": snapshot.settings,
-        "parents": _parents(snapshot, snapshots), "iteration": snapshot.iteration, "steps": snapshot.step,
+        "parents": _parents(league, snapshot), "iteration": snapshot.iteration, "steps": snapshot.step,
         "seconds": snapshot.seconds, "versions": _versions(league, snapshot), "created": snapshot.created,
         "rating": _rating(league, snapshot),
     }  # fmt: skip
@@ -113,8 +107,9 @@ def _tried(ladder: Ladder, snapshot: Snapshot) -> bool:
     return bool(ladder.tried(snapshot.name))
 
 
-def _parents(snapshot: Snapshot, snapshots: Mapping[str, Snapshot]) -> list[str]:
+def _parents(league: Open, snapshot: Snapshot) -> list[str]:
     """From which snapshots it goes on, the nearest first; the last may be one of another league."""
+    snapshots = {s.name: s for s in league.store.snapshots(league.league)}
     found: list[str] = []
     while snapshot.parent is not None and snapshot.parent not in found:
         found.append(snapshot.parent)

@@ -100,12 +100,17 @@ class Open:
         return pd.DataFrame(match_rows(self.store.matches(self.league)))
 
     def snapshot(self, name: str) -> Snapshot:
-        """A snapshot that is there to play. Raises UnknownName, StorageError where it has been thinned."""
+        """A snapshot that is there to play; of a player, which has no snapshot of that very name, the newest.
+
+        Raises UnknownName, StorageError where it has been thinned.
+        """
         known = {s.name: s for s in self.store.snapshots(self.league)}
-        if name not in known:
+        of_player = [s for s in known.values() if s.player == name]
+        found = known.get(name) or max(of_player, key=lambda s: s.iteration, default=None)
+        if found is None:
             raise UnknownName("snapshot", name, known)
-        require_whole(known[name], known.values())
-        return known[name]
+        require_whole(found, known.values())
+        return found
 
     def snapshots(self) -> "pd.DataFrame":
         """A row per snapshot: those of no player first, then by iteration."""

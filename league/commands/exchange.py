@@ -18,7 +18,7 @@ class ExportOptions(Where):
     """Which snapshot, and where to."""
 
     snapshot: str = positional()
-    """The snapshot, such as blue@16: `league snapshots` lists them."""
+    """The snapshot, such as blue@16, or a player, whose newest it is: `league snapshots` lists them."""
     output: str | None = None
     """The file to write, also as -o FILE; never over another one."""
     card: str | None = None
@@ -56,7 +56,8 @@ def export(args: list[str]) -> int:
         with whole_file(page) as told, whole_file(path) as file:
             told.write(text.encode())
             file.write(data := policy.to_bytes())
-    print(f"Wrote {options.snapshot} of league {policy.about['league']} to {path} ({len(data):,} bytes), card {page}.")
+    whose = f"{policy.about['name']} of league {policy.about['league']}"
+    print(f"Wrote {whose} to {path} ({len(data):,} bytes), card {page}.")
     return 0
 
 

@@ -26,7 +26,7 @@ class GateOptions(HypothesesOptions, Where):
     """Who is said to be better than whom, and the test."""
 
     a: str = positional()
-    """The snapshot that is said to be better, such as blue@64: `league snapshots` lists them."""
+    """The snapshot that is said to be better, such as blue@64, or a player, whose newest it is."""
     b: str = positional()
     """The one that it is compared with."""
     most: int = field(default=10_000, metadata={"low": 2})

@@ -22,7 +22,7 @@ class PlayOptions(Where):
     """Who meets whom, how often, and what is kept to be watched."""
 
     a: str = positional()
-    """A snapshot, such as blue@64 or pusher: `league snapshots` lists them."""
+    """A snapshot, such as blue@64 or pusher, or a player, whose newest it is: `league snapshots` lists them."""
     b: str | None = positional(None)
     """Another one; left out in an arena of one team."""
     episodes: int = field(default=2, metadata={"low": 1, "high": 2**20})
@@ -46,10 +46,10 @@ def play(args: list[str]) -> int:
     if games:
         low, high = score_interval(wins, draws, losses)
         told = score_text(Score((wins + draws / 2) / games, float(low), float(high), games))
-        told = f" {options.a} scores {told}."
-    against = f" against {options.b}" if options.b else ""
+        told = f" {found.a.name} scores {told}."
+    against = f" against {found.b.name}" if found.b else ""
     counts = f"{wins} won, {draws} drawn, {losses} lost" + (f", {voids} void" if voids else "")
-    print(f"Exhibition of {options.a}{against}: {counts}.{told}")
+    print(f"Exhibition of {found.a.name}{against}: {counts}.{told}")
     for match in matches:
         if match.recording is not None:
             print(f"  league watch {match.id}")

@@ -34,6 +34,15 @@ def frozen(*players):
 # The measures
 
 
+def test_a_players_name_is_its_newest_snapshot(tmp_path):
+    with filled(tmp_path / "store") as store:
+        opened = Open(store, "cup")
+        assert opened.snapshot("blue").name == "blue@4"
+        assert opened.snapshot("blue@1").name == "blue@1"
+        with pytest.raises(StorageError, match=r"There is no snapshot 'blu' here"):
+            opened.snapshot("blu")
+
+
 def test_with_equal_rosters_initial_is_ones_own():
     pool = frozen(BLUE, RED)
     assert [s.name for s in initial_opponents(pool[4], pool, [BLUE, RED])] == ["blue@0"]
