@@ -15,7 +15,8 @@ import torch
 def profiled(verb: Callable[[], object]) -> dict:
     """Seconds of kernels, copies and fills on the GPU, how many kernels ran, and how often the host launched any.
 
-    `by_name` has the seconds and number of runs of each kernel, the longest first. The profiler slows down the host.
+    They may run at once: `seconds` has each one's own, `at_work` for how long any of them ran. `by_name` has the seconds
+    and number of runs of each kernel, the longest first. The profiler slows down the host.
     """
     activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
     with torch.profiler.profile(activities=activities) as profile:
@@ -26,16 +27,27 @@ def profiled(verb: Callable[[], object]) -> dict:
         events = json.loads(Path(trace).read_text())["traceEvents"]
     kinds = {kind: [e for e in events if e.get("cat") == kind] for kind in ("kernel", "gpu_memcpy", "gpu_memset")}
     calls = [e["name"] for e in events if e.get("cat") in ("cuda_runtime", "cuda_driver")]
+    ran = [e for each in kinds.values() for e in each]
     seconds, runs = Counter[str](), Counter[str]()
-    for event in (e for each in kinds.values() for e in each):
+    for event in ran:
         seconds[event["name"]] += event["dur"] * 1e-6
         runs[event["name"]] += 1
     return {
         "seconds": sum(seconds.values()),
+        "at_work": 1e-6 * _covered([(e["ts"], e["ts"] + e["dur"]) for e in ran]),
         "kernels": len(kinds["kernel"]),
         "launches": sum("LaunchKernel" in name or "GraphLaunch" in name for name in calls),
         "by_name": {name: [round(took, 6), runs[name]] for name, took in seconds.most_common()},
     }
+
+
+def _covered(intervals: list[tuple[float, float]]) -> float:
+    """How long any of these intervals, each from and to, lasted."""
+    covered, until = 0.0, 0.0
+    for begin, end in sorted(intervals):
+        covered += max(0.0, end - max(begin, until))
+        until = max(until, end)
+    return covered
 
 
 @contextmanager

@@ -12,7 +12,8 @@ decisions/s. The rows:
 - rollout: rollout of the learning policies of all teams / the bare engine that replays the same controls
 - training: rollout and updates of all teams / that rollout alone
 - busy: seconds of one team's update / seconds of GPU kernels within it, as torch's profiler has them (GPU only);
-  kernels that run at the same time all count, so the ratio may be below 1; and the longest kernels by name
+  kernels that run at the same time all count, so the ratio may be below 1. And the longest kernels by name, and for
+  how many seconds any kernel ran: what is missing to the update's are gaps between kernels
 - jax: seconds of one team's update / those of the same update in plain JAX, compiled whole (benchmarks/happo_jax.py),
   and how far apart the two end from the same parameters, batch and permutations
 - captures: how often Warp records its graph anew in a turn of rollout and updates, and seconds of that / of the turn
@@ -156,6 +157,7 @@ def busy(ground: Ground) -> dict:
     wall, seconds = np.array(wall[1:])[:, 0], np.array([each["seconds"] for each in kernels[1:]])
     return {
         "ratio": spread(wall / seconds), "update_seconds": spread(wall, 5), "busy_seconds": spread(seconds, 5),
+        "at_work_seconds": spread(np.array([each["at_work"] for each in kernels[1:]]), 5),
         "kernels": kernels[-1]["kernels"], "launches": kernels[-1]["launches"], "samples": batch.rewards.numel(),
         "by_name": dict(list(kernels[-1]["by_name"].items())[:LONGEST]),
     }  # fmt: skip
