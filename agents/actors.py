@@ -30,6 +30,8 @@ class ActorLearner:
         self.surrogate_loss = fused(surrogate_loss, config.compiled)
         self.loss = fused(self._loss, config.compiled and together.size == 1)  # messages are no part of kernels
         self.step = fused(self._step, config.compiled)
+        self.log_probs = fused(self._log_probs, config.compiled)
+        self.ratios = fused(self._ratios, config.compiled)
 
     @torch.no_grad()
     def share(self, batch: Batch, M: Tensor, A_hat: Sequence[Tensor]) -> Share:
@@ -45,14 +47,14 @@ class ActorLearner:
         return pytree.tree_map(lambda *each: torch.cat(each), *found)
 
     @torch.no_grad()
-    def log_probs(self, share: Share) -> Tensor:
+    def _log_probs(self, share: Share) -> Tensor:
         """Log densities (B,) of the actions under the present policy."""
         return self.network(share.observations).log_prob(share.actions).sum(-1)
 
     @torch.no_grad()
-    def ratios(self, share: Share, before: Tensor) -> Tensor:
+    def _ratios(self, share: Share, before: Tensor) -> Tensor:
         """(B / agents,) By how much the densities of the agents' actions have risen; 1 where an agent took no part."""
-        ratio = torch.exp(self.log_probs(share) - before).masked_fill(~share.valid, 1.0)
+        ratio = torch.exp(self._log_probs(share) - before).masked_fill(~share.valid, 1.0)
         return torch.stack(ratio.chunk(len(self.agents))).prod(0)
 
     def update(self, share: Share, decay: float, dice: torch.Generator, run: Run) -> None:

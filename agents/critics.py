@@ -35,9 +35,11 @@ class CriticLearner:
         self.value_loss = fused(value_loss, config.compiled)
         self.loss = fused(self._loss, config.compiled and together.size == 1)  # messages are no part of kernels
         self.step = fused(self._step, config.compiled)
+        # What is recurrent is a loop over time, which would take minutes to compile.
+        self.criticise = fused(self._criticise, config.compiled and config.sequence is None)
 
     @torch.no_grad()
-    def criticise(self, batch: Batch) -> Critique:
+    def _criticise(self, batch: Batch) -> Critique:
         """Values, advantages and returns of a clean batch by the critic as it is before the update."""
         c = self.config
         own, *more = (self._of_side(batch, side) for side in sides(batch, self.agents, c.critic_input == "all"))

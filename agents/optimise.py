@@ -72,7 +72,7 @@ def slope(module: nn.Module, loss: Tensor) -> Sequence[Tensor]:
 def fused(function: Callable[P, T], on: bool) -> Callable[P, T]:
     """A function whose kernels, and those of its gradient, torch.compile makes few of where that is on.
 
-    It is compiled once for each network, at its first minibatch, with all that it calls, which may be fused too.
+    It is compiled once for each network, when that first needs it, with all that it calls, which may be fused too.
     Recorded graphs then hold what was compiled.
     """
     if not on:

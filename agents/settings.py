@@ -117,8 +117,8 @@ class HappoConfig:
     """On a GPU, replay the update as CUDA graphs instead of launching every kernel by itself; with several
     `training.devices` where messages between them can be recorded, which is tried."""
     compiled: bool = False
-    """Compile losses, their gradients and Adam's steps by torch.compile: fewer kernels, the same numbers to rounding,
-    and some seconds more at the start. It needs a C++ compiler, and Triton on a GPU."""
+    """Compile advantages, losses, their gradients and Adam's steps by torch.compile: fewer kernels, the same numbers to
+    rounding, and some seconds more at the start. It needs a C++ compiler, and Triton on a GPU."""
     precision: Precision = "float32"
     """Of matrix products while learning: float32; tf32 (10 bits instead of 23; on a CPU the same as float32); bf16 (7
     bits, where losses are computed). Weights, moments, densities, advantages and sums are float32 always."""

@@ -15,7 +15,7 @@ import torch
 def profiled(verb: Callable[[], object]) -> dict:
     """Seconds of kernels, copies and fills on the GPU, how many kernels ran, and how often the host launched any.
 
-    They may run at once: `seconds` has each one's own, `at_work` how long any of them ran. `by_name` has the seconds and
+    They may run at once: `seconds` has each one's own, `at_work` how long any of them ran. `by_name` has seconds and
     number of runs of each kernel, the longest first. The profiler slows down the host.
     """
     activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
