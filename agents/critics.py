@@ -35,7 +35,7 @@ class CriticLearner:
         self.value_loss = fused(value_loss, config.compiled)
         self.loss = fused(self._loss, config.compiled and together.size == 1)  # messages are no part of kernels
         self.step = fused(self._step, config.compiled)
-        # What is recurrent is a loop over time, which would take minutes to compile.
+        # A recurrent one loops over time, and every step of the loop would be compiled by itself.
         self.criticise = fused(self._criticise, config.compiled and config.sequence is None)
 
     @torch.no_grad()
