@@ -88,8 +88,8 @@ class Learner:
         self.critic_learners = [
             CriticLearner(critic, circle, c, k, together.lane()) for k, (critic, circle) in of_critics
         ]
-        self._clean = fused(_cleaned, c.compiled)
-        self._standardise = fused(self._standardised, c.compiled and together.size == 1)
+        self.cleaned = fused(_cleaned, c.compiled)
+        self.standardised = fused(self._standardised, c.compiled and together.size == 1)
         self.remembered: Sequence[Tensor] = ()
         # Of each actor, then of each critic:
         self.observation_counts = torch.zeros(len(actors) + len(critics), device=self.device)
@@ -118,7 +118,7 @@ class Learner:
         if not known:
             return {}
         critiques = self._criticised(batch, run)
-        A_hat = run(self._standardise, critiques, batch.alive)
+        A_hat = run(self.standardised, critiques, batch.alive)
         decay = self._decay()
         with run.beside() as beside:  # critics and actors do not know of each other from here on
             for critic, critique in zip(self.critic_learners, critiques, strict=True):
@@ -178,7 +178,7 @@ class Learner:
         self.remembered, agents = (), range(len(batch.actions))
         batch = self._recalling(batch)
         held = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
-        batch, found = run(self._clean, batch)
+        batch, found = run(self.cleaned, batch)
         known, *bad = self.together.any(found).tolist()
         checkpoint.refuse([name for name, here in zip(held, bad, strict=True) if here])
         if not known:
