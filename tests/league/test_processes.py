@@ -2,6 +2,10 @@
 
 import os
 import signal
+import sqlite3
+import time
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -25,6 +29,19 @@ def are_gone(found: list[int]) -> bool:
     return not any(os.path.exists(f"/proc/{pid}") for pid in found)
 
 
+def stop(folder: Path, pid: int) -> None:
+    """SIGSTOP between two transactions: who is stopped within one keeps all others from writing, for ever."""
+    while True:
+        os.kill(pid, signal.SIGSTOP)
+        with closing(sqlite3.connect(folder / "league-data" / "league.db", timeout=0.5)) as database:
+            try:
+                database.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.OperationalError:
+                os.kill(pid, signal.SIGCONT)
+        time.sleep(0.05)
+
+
 def test_who_would_work_for_a_league_that_nobody_runs_is_told_so(tmp_path):
     filled(tmp_path / "store").close()
     with pytest.raises(StorageError, match=r"'cup' is not running: `league run` runs it"):
@@ -36,7 +53,7 @@ def test_a_worker_joins_from_outside_learns_rates_and_ends_with_the_manager(tmp_
     """The manager's own learner is stopped, so the joined one must do its work."""
     run = start("run", *GAME, "--workers.match", "0", "--workers.lease", "3", cwd=tmp_path)
     own = wait_for(tmp_path, lambda store: pids(store, "train"))
-    os.kill(own[0], signal.SIGSTOP)
+    stop(tmp_path, own[0])
     try:
         joined = start("worker", "--store", "league-data", cwd=tmp_path)
         wait_for(tmp_path, lambda store: pids(store, "train+match"))
