@@ -100,7 +100,7 @@ class Open:
         return pd.DataFrame(match_rows(self.store.matches(self.league)))
 
     def snapshot(self, name: str) -> Snapshot:
-        """A snapshot that is there to play; of a player, which has no snapshot of that very name, the newest.
+        """A snapshot that is there to play, by its name, or a player's newest by the player's.
 
         Raises UnknownName, StorageError where it has been thinned.
         """
