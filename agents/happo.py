@@ -88,7 +88,6 @@ class Learner:
         self.critic_learners = [
             CriticLearner(critic, circle, c, k, together.lane()) for k, (critic, circle) in of_critics
         ]
-        self.cleaned = fused(_cleaned, c.compiled)
         self.standardised = fused(self._standardised, c.compiled and together.size == 1)
         self.remembered: Sequence[Tensor] = ()
         # Of each actor, then of each critic:
@@ -178,7 +177,7 @@ class Learner:
         self.remembered, agents = (), range(len(batch.actions))
         batch = self._recalling(batch)
         held = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
-        batch, found = run(self.cleaned, batch)
+        batch, found = run(_cleaned, batch)
         known, *bad = self.together.any(found).tolist()
         checkpoint.refuse([name for name, here in zip(held, bad, strict=True) if here])
         if not known:
