@@ -44,8 +44,9 @@ def assert_alike(variant: dict[str, Any], device: str, experience, rounding: flo
     for seed in range(3):
         batch = experienced(experience, plain, seed, N=6)
         one, other = compiled.update(batch), plain.update(batch)
-        # HATRPO's natural gradient takes advantages, whose last digit differs, ten times as hard.
-        bound = 50 * rounding if variant.get("method") == "hatrpo" else rounding
+        # HATRPO's natural gradient takes advantages, whose last digits differ, and later critics', ten times as hard.
+        hard = variant.get("method") == "hatrpo"
+        bound = (50 if seed else 5) * rounding if hard else rounding
         assert one == pytest.approx(other, rel=10 * bound, abs=bound)
         theirs = plain.state()
         for name, array in compiled.state().items():
@@ -79,6 +80,23 @@ def test_a_minibatch_in_which_nothing_counts_changes_nothing(experience, eager):
     for name, array in state.items():
         np.testing.assert_allclose(array, expected[name], rtol=1e-6, atol=1e-6, err_msg=name)
     assert {array.item() for name, array in state.items() if name.endswith(".step")} == {BASE.epochs}
+
+
+def test_no_list_of_a_step_holds_two_tensors_of_one_parameter(monkeypatch):
+    """On a GPU one kernel is made of a list, whose parts run in any order; a CPU shows nothing of it."""
+    layer = nn.Linear(5, 3)
+    optimizer = adam(layer, torch.tensor(0.01))
+    of = {id(x): k for k, p in enumerate(layer.parameters()) for x in (p, *optimizer.state[p].values())}
+    written, copy = [], torch._foreach_copy_
+
+    def looking(to: list[Tensor], source: list[Tensor]) -> None:
+        written.append([of[id(x)] for x in to])
+        copy(to, source)
+
+    monkeypatch.setattr(torch, "_foreach_copy_", looking)
+    monkeypatch.setattr(torch.compiler, "is_compiling", lambda: True)  # so that it is written out
+    step(optimizer, layer, [torch.ones_like(p) for p in layer.parameters()], 0.5, torch.tensor(1.0))
+    assert written == [[0, 1]] * 4
 
 
 @pytest.mark.parametrize("device", HERE)
