@@ -69,6 +69,7 @@ class Stage:
 
 
 BLOCKS = ("push-anymal", "push-leatherback")
+SCORERS = ("soccer-score", "soccer-score-leatherback")
 STAGES = {
     "walk": Stage("anymal-walk", "10m", 0.9),
     "push-anymal": Stage("block-push-anymal", "15m", 0.8, ("walk",), PUSH, "idle"),
@@ -91,9 +92,8 @@ STAGES = {
     "soccer-score-leatherback": Stage(
         "soccer-score-leatherback", "15m", 0.7, ("soccer-score-leatherback-easy",), SCORE | FREE
     ),
-    "soccer-leapfrog": Stage(
-        "soccer-1v1", "30m", 0.74, ("soccer-score", "soccer-score-leatherback"), MATCH | TURNS | FREE, "initial"
-    ),
+    "soccer-leapfrog": Stage("soccer-1v1", "30m", 0.74, SCORERS, MATCH | TURNS | FREE, "initial"),
+    "soccer-2v2-leapfrog": Stage("soccer-2v2", "30m", 0.74, SCORERS, MATCH | TURNS | FREE, "initial"),
 }
 
 
