@@ -9,7 +9,7 @@ from torch.utils import _pytree as pytree
 from agents.batch import Batch, Sequences, Share, rows
 from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Tally, adam, at, fused, networks, orders, parts, slope, step
+from agents.optimise import Tally, adam, fused, minibatches, networks, orders, parts, slope, step
 from agents.parallel import ALONE, Together
 from agents.settings import HappoConfig
 
@@ -72,8 +72,8 @@ class ActorLearner:
     def learn(self, share: Share, order: Tensor) -> Tensor:
         """One pass over the rows in this order; () the mean KL divergence of its minibatches."""
         c, before = self.config, self.tally.sums.clone()
-        for picked in order.chunk(c.minibatches):
-            loss, found, taught = self.loss(share, picked)
+        for minibatch in minibatches(share, order, c.minibatches):
+            loss, found, taught = self.loss(minibatch)
             mine = (*slope(self.network, loss), loss.detach(), found["entropy"], found["rise"], found["kl"])
             *gradient, loss, entropy, rise, kl = self.together.sum(*mine)
             if c.kl_step is not None:  # not in what is compiled: torch 2.13 leaves out what it writes to a float64 ()
@@ -81,9 +81,8 @@ class ActorLearner:
             self.step(gradient, taught, loss, entropy, rise, kl)
         return self.tally.mean("kl", before)
 
-    def _loss(self, share: Share, picked: Tensor) -> tuple[Tensor, dict[str, Tensor], Tensor]:
-        """The loss of these rows, a minibatch, and its figures; and whether any decision counts, () 1 or 0."""
-        share = at(share, picked)  # here, for what is compiled reads them where they lie
+    def _loss(self, share: Share) -> tuple[Tensor, dict[str, Tensor], Tensor]:
+        """The loss of a minibatch and its figures; and whether any decision counts, () 1 or 0."""
         part, taught = parts(share.valid, self.together)
         return *self.surrogate_loss(self.network, share, part, self.config), taught
 

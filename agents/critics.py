@@ -9,7 +9,7 @@ from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) 
 from agents.batch import Batch, Critique, Sequences, Side, rows, sides
 from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Tally, adam, at, fused, networks, orders, parts, slope, step
+from agents.optimise import Tally, adam, fused, minibatches, networks, orders, parts, slope, step
 from agents.parallel import ALONE, Together
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
@@ -92,17 +92,13 @@ class CriticLearner:
         """One pass over the rows in this order."""
         c = self.config
         held = critique.seen, critique.predictions, critique.returns, critique.valid
-        for picked in order.chunk(c.minibatches):
-            loss, taught = self.loss(held, picked)
+        for minibatch in minibatches(held, order, c.minibatches):
+            loss, taught = self.loss(*minibatch)
             *gradient, loss = self.together.sum(*slope(self.network, loss), loss.detach())
             self.step(gradient, taught, loss)
 
-    def _loss(self, held: tuple[Tensor | Sequences, Tensor, Tensor, Tensor], picked: Tensor) -> tuple[Tensor, Tensor]:
-        """The loss of these rows of what is seen, what was said of it, returns and which are valid: a minibatch.
-
-        The normaliser sees its returns. And whether any decision counts, () 1 or 0.
-        """
-        seen, old, R, valid = at(held, picked)
+    def _loss(self, seen: Tensor | Sequences, old: Tensor, R: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+        """The loss of a minibatch, whose returns the normaliser sees; and whether any decision counts, () 1 or 0."""
         part, taught = parts(valid, self.together)
         if self.config.value_norm:
             self.value_norm.update(R, part, taught, self.together)

@@ -132,9 +132,11 @@ def orders(size: int, passes: int, dice: torch.Generator) -> Iterator[Tensor]:
         yield torch.randperm(size, generator=dice, device=dice.device)
 
 
-def at(tensors: Rows, picked: Tensor) -> Rows:
-    """The picked rows of several tensors (B, ...)."""
-    return pytree.tree_map(lambda x: x.index_select(0, picked), tensors)
+def minibatches(rows: Rows, order: Tensor, count: int) -> Iterator[Rows]:
+    """The rows (B, ...) of several tensors in this order, in `count` parts."""
+    tensors, tree = pytree.tree_flatten(rows)
+    for each in zip(*(x.index_select(0, order).chunk(count) for x in tensors), strict=True):
+        yield pytree.tree_unflatten(each, tree)
 
 
 def parts(valid: Tensor, together: Together = ALONE) -> tuple[Tensor, Tensor]:
