@@ -9,6 +9,7 @@ from torch import Tensor
 from agents.errors import Diverged
 
 State = Mapping[str, np.ndarray]
+CONSTANT = 1e-6  # an observation with less variance has not moved, but for rounding
 NETWORKS = ("actor.", "critic.")  # what begins so is a network's: one number too many is another network
 
 
@@ -92,6 +93,23 @@ def with_critics(state: State, given: State) -> dict[str, np.ndarray]:
     if len(theirs) == len(counts) - own:  # else the names of the critics differ too, which `read` refuses
         counts[own:] = theirs
     return {**state, **new, "observation_counts": counts}
+
+
+def unmoved(state: State) -> dict[str, np.ndarray]:
+    """The state with networks to which inputs that never moved say nothing yet; while they rest, these are the same.
+
+    What a stage does not have yet is a constant there, of which the normaliser makes 0, so its weights stay as they
+    were drawn. Where it then moves, a deviation of nothing would make it as large as is allowed, and the policy a new
+    one. Behind a LayerNorm the weights matter even at rest, and stay; the deviation is 1 in any case.
+    """
+    new = dict(state)
+    for name in (name for name in state if name.endswith(".trunk.observation_var")):
+        trunk, rests = name.removesuffix("observation_var"), state[name] < CONSTANT
+        new[name] = np.where(rests, np.ones_like(state[name]), state[name])
+        if f"{trunk}norm.0.weight" not in state:
+            weights = state[f"{trunk}hidden.0.weight"]
+            new[f"{trunk}hidden.0.weight"] = np.where(rests, np.zeros_like(weights), weights)
+    return new
 
 
 def _agents(state: State) -> int:

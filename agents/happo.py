@@ -288,18 +288,21 @@ class Learner:
         fixed = [k for k in tensors if k.endswith((".activation", ".squash")) or k == "sharing"]
         checkpoint.read(tensors, fixed, self.rng, state)
 
-    def inherit(self, actors: Sequence[tuple[State, int] | None], critic: State | None) -> None:
+    def inherit(
+        self, actors: Sequence[tuple[State, int] | None], critic: State | None, elsewhere: bool = False
+    ) -> None:
         """Begin with weights of other learners: for each agent `state()` and the number of an agent there, or None.
 
         An actor brings its deviation and what it knows of observations, and so do critics, with their value
         normalisers. What is None stays as it is, and so do optimisers, step counts and random numbers. Agents that
-        share an actor go on from what is given for the first of them. Raises ValueError as `load` does.
+        share an actor go on from what is given for the first of them. Where they learnt `elsewhere`, inputs that never
+        moved there say nothing here at first. Raises ValueError as `load` does.
         """
-        state = self.state()
+        state, given = self.state(), checkpoint.unmoved if elsewhere else dict
         for i, source in enumerate(actors):
             if source is not None and self.leaders[i] == i:
-                state = checkpoint.with_actor(state, i, *source)
-        self.load(checkpoint.with_critics(state, critic) if critic is not None else state)
+                state = checkpoint.with_actor(state, i, given(source[0]), source[1])
+        self.load(checkpoint.with_critics(state, given(critic)) if critic is not None else state)
 
     def _tensors(self) -> dict[str, Tensor]:
         """Every tensor of the state by name. A setting that is off adds none."""

@@ -178,13 +178,14 @@ def _saw(store: Store | None, league: str) -> str:
 def start(store: Store | None, learner: "Learner", heritage: Heritage) -> str | None:
     """Give a new learner the weights that are its player's by heritage; the name of the first one's checkpoint.
 
+    Inputs that never moved where these were learnt say nothing at first (`agents.checkpoint.unmoved`).
     Raises StorageError where a player has no checkpoint yet, or one that is damaged or of another network.
     """
     owners = dict.fromkeys((s.league, s.player) for s in heritage.actors if s)
     kept = {owner: _state(store, *owner) for owner in owners}
     actors = [(kept[source[:2]][1], source.agent) if source else None for source in heritage.actors]
     try:
-        learner.inherit(actors, kept[heritage.critic][1] if heritage.critic else None)
+        learner.inherit(actors, kept[heritage.critic][1] if heritage.critic else None, elsewhere=True)
     except ValueError as error:
         raise StorageError(f"cannot go on from {' and '.join(f'{a} {b}' for a, b in owners)}: {error}") from None
     return next((name for name, _ in kept.values()), None)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from agents.happo import Learner
 from agents.settings import Architecture, HappoConfig
@@ -171,6 +172,19 @@ def test_a_policy_that_comes_with_the_league_is_a_forerunner(store):
     np.testing.assert_array_equal(now["critic.value.weight"], ours["critic.value.weight"])
 
 
+def test_what_stood_still_in_a_stage_says_nothing_at_first_in_the_next(store):
+    """An ANYmal that scores has met no enemy; all that it has seen move it goes on with."""
+    policy = exchange.read(exchange.find("anymal-score"))
+    (found,) = heirs.of(store, [player("new", "blue", 0, policy.about["roster"])], ["anymal-score"]).values()
+    theirs = Learner((66,), (12,), HappoConfig(Architecture((128, 128, 128), "elu"), normalise_observations=True), 1)
+    heirs.start(store, theirs, found)
+    stood = policy.arrays["0/trunk.observation_var"] < 1e-6
+    assert set(range(57, 66)) <= set(np.flatnonzero(stood)) < set(range(45, 66))  # team-mate and enemies, at least
+    now, name = theirs.policies()[0], "trunk.hidden.0.weight"
+    np.testing.assert_array_equal(now[name], np.where(stood, 0.0, policy.arrays[f"0/{name}"]))
+    assert set(now["trunk.observation_var"][stood].tolist()) == {1.0}
+
+
 def test_who_should_go_on_from_nothing_that_is_there_is_told_what_is(store):
     with pytest.raises(UnknownName, match=r"no league or trained policy 'anymal-psh' here.*mean 'anymal-push'"):
         heirs.forerunners(store, ["anymal-psh"])
@@ -205,6 +219,29 @@ def test_a_learner_inherits_a_critic_with_its_value_normaliser():
     kept = {k: v for k, v in own.state().items() if not k.startswith(("adam", "rng"))}
     for name, array in kept.items():
         np.testing.assert_array_equal(array, theirs[name])
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_what_never_moved_elsewhere_says_nothing_until_it_is_learnt(layer_norm: bool):
+    """While it rests the policy is the same; else it was a new one as soon as an enemy came into sight."""
+    config = HappoConfig(Architecture((8,), layer_norm=layer_norm), normalise_observations=True)
+    given, own = (Learner((4,), (2,), config, seed) for seed in (1, 2))
+    theirs = given.state()
+    theirs["actor.0.trunk.observation_mean"] = np.array([0.5, 0, 2, -1], np.float32)
+    theirs["actor.0.trunk.observation_var"] = np.array([4, 0, 1e-12, 0.25], np.float32)  # the middle two never moved
+    theirs["actor.0.trunk.observation_clip"] = np.array(10, np.float32)
+    given.load(theirs)
+    own.inherit([(theirs, 0)], None, elsewhere=True)
+
+    def means(learner: Learner, *resting: float) -> np.ndarray:
+        seen = torch.tensor([[1.0, *resting, 0.3], [-2.0, *resting, -1.0]])
+        return learner.actors[0](seen).mean.detach().numpy()
+
+    np.testing.assert_allclose(means(own, 0.0, 2.0), means(given, 0.0, 2.0), atol=1e-6)
+    moved, unheard = (np.abs(means(x, 3.0, -1.0) - means(x, 0.0, 2.0)).max() for x in (given, own))
+    assert moved > 1e-4
+    assert layer_norm or unheard == 0.0  # behind a LayerNorm each input moves all
+    np.testing.assert_array_equal(own.state()["actor.0.trunk.observation_var"], np.array([4, 1, 1, 0.25], np.float32))
 
 
 def test_a_policy_of_another_network_is_not_inherited():
