@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from agents.batch import Batch, Sequences, Share, rows
+from agents.batch import Batch, Sequences, Share, rows, rows_of
 from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Tally, adam, fused, minibatches, networks, orders, parts, slope, step
+from agents.optimise import Tally, adam, fused, minibatches, networks, parts, slope, step
 from agents.parallel import ALONE, Together
 from agents.settings import HappoConfig
 
@@ -57,14 +57,18 @@ class ActorLearner:
         ratio = torch.exp(self._log_probs(share) - before).masked_fill(~share.valid, 1.0)
         return torch.stack(ratio.chunk(len(self.agents))).prod(0)
 
-    def update(self, share: Share, decay: float, dice: torch.Generator, run: Run) -> None:
-        """`epochs` × `minibatches` steps of Adam, fewer where the policy has moved by more than `kl_stop`.
+    def rows_of(self, batch: Batch) -> int:
+        """How many rows its shares of a batch have."""
+        return len(self.agents) * rows_of(batch, self.config.sequence)
+
+    def update(self, share: Share, decay: float, orders: Sequence[Tensor], run: Run) -> None:
+        """`minibatches` steps of Adam for each order of the rows, fewer where the policy moves by more than `kl_stop`.
 
         `decay` is what is left of the step size.
         """
         c = self.config
         self.rate.copy_(self.lr * decay)
-        for order in orders(len(share.valid), c.epochs, dice):
+        for order in orders:
             moved = run(self.learn, share, order)
             if c.kl_stop is not None and moved.item() > c.kl_stop:
                 break

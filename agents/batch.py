@@ -129,6 +129,11 @@ def rows(values: Tensor, chunk: int | None) -> Tensor:
     return values.unflatten(0, (-1, chunk)).transpose(1, 2).flatten(0, 1)
 
 
+def rows_of(batch: Batch, chunk: int | None) -> int:
+    """How many rows `rows` makes of what each decision of a batch holds."""
+    return batch.void.numel() // (chunk or 1)
+
+
 def sides(batch: Batch, agents: Sequence[int], everybody: bool) -> Sequence[Side]:
     """What a critic of these agents learns from in a clean batch: the team's own side first.
 

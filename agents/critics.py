@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
 
-from agents.batch import Batch, Critique, Sequences, Side, rows, sides
+from agents.batch import Batch, Critique, Sequences, Side, rows, rows_of, sides
 from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Tally, adam, fused, minibatches, networks, orders, parts, slope, step
+from agents.optimise import Tally, adam, fused, minibatches, networks, parts, slope, step
 from agents.parallel import ALONE, Together
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
@@ -81,10 +81,17 @@ class CriticLearner:
         predictions, following, states = (x.transpose(0, 1) for x in found)
         return predictions, following, states
 
-    def update(self, critique: Critique, decay: float, dice: torch.Generator, run: Run) -> None:
-        """Learn from returns that the normaliser has just seen; `decay` is what is left of the step size."""
+    def rows_of(self, batch: Batch) -> int:
+        """How many rows it makes of a batch."""
+        return max(1, len(batch.sides)) * rows_of(batch, self.config.sequence)
+
+    def update(self, critique: Critique, decay: float, orders: Sequence[Tensor], run: Run) -> None:
+        """Learn from returns that the normaliser has just seen, once for each order of the rows.
+
+        `decay` is what is left of the step size.
+        """
         self.rate.fill_(self.config.critic_lr * decay)
-        for order in orders(len(critique.valid), self.config.epochs, dice):
+        for order in orders:
             run(self.learn, critique, order)
         run(self.explain, critique)
 

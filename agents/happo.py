@@ -10,6 +10,7 @@ import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,12 +23,25 @@ from agents.checkpoint import State
 from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
 from agents.networks import Actor, Critic
-from agents.optimise import Tally, fused, means, moments, parts, products
+from agents.optimise import Tally, fused, means, moments, orders, parts, products
 from agents.parallel import ALONE, Together
 from agents.settings import OBSERVATION_CLIP, HappoConfig
 from agents.trust_region import TrustRegionLearner
 
 Update = Callable[["Learner", Batch], dict[str, float]]
+
+
+class Made(NamedTuple):
+    """What a learner that is alone in learning is made of: `Learner(*made)` has its shape, and `load` does the rest."""
+
+    observation_sizes: tuple[int, ...]
+    action_sizes: tuple[int, ...]
+    config: HappoConfig
+    seed: int
+    device: str
+    kinds: tuple[str, ...]
+    others: tuple[int, ...]
+    sight: int
 
 
 def _precisely(update: Update) -> Update:
@@ -64,6 +78,8 @@ class Learner:
     ):
         self.config = c = config
         self.together = together
+        sizes = tuple(observation_sizes), tuple(action_sizes)
+        self._made = Made(*sizes, config, seed, device, tuple(kinds), tuple(others), sight)
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
@@ -95,6 +111,11 @@ class Learner:
         self.steps = torch.zeros((), dtype=torch.int64)  # decisions × worlds learnt from, where step sizes decay
 
     @property
+    def made(self) -> Made:
+        """What another one of this shape is made of, in this process or another."""
+        return self._made._replace(config=self.config)
+
+    @property
     def actors(self) -> list[Actor]:
         """Each agent's actor; those that share one have the same."""
         by_leader = {learner.agents[0]: learner.network for learner in self.actor_learners}
@@ -116,24 +137,28 @@ class Learner:
         batch, known = self._begin(batch, run)
         if not known:
             return {}
+        order, critics = self._order(), self.critic_learners
+        with run.beside():  # a GPU sorts them while it sees what the critics make of the batch
+            drawn = self._orders([*critics, *(self.actor_learners[k] for k in order)], batch)
         critiques = self._criticised(batch, run)
         A_hat = run(self.standardised, critiques, batch.alive)
+        run.meet()
         decay = self._decay()
         with run.beside() as beside:  # critics and actors do not know of each other from here on
-            for critic, critique in zip(self.critic_learners, critiques, strict=True):
-                critic.update(critique, decay, self.dice, beside)
+            for critic, critique, mine in zip(critics, critiques, drawn[: len(critics)], strict=True):
+                critic.update(critique, decay, mine, beside)
 
         M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, as rows
         shares: dict[int, Share] = {}
-        for k in self._order():
+        for k, mine in zip(order, drawn[len(critics) :], strict=True):
             actor = self.actor_learners[k]
             share = shares[k] = run(actor.share, batch, M, A_hat)
             if self.config.method in ("happo", "hatrpo"):
                 before = run(actor.log_probs, share)
-                actor.update(share, decay, self.dice, run)
+                actor.update(share, decay, mine, run)
                 M *= run(actor.ratios, share, before)
             else:
-                actor.update(share, decay, self.dice, run)
+                actor.update(share, decay, mine, run)
         run.meet()
         if self.config.normalise_observations:
             run(self._observe, [shares[k] for k in range(len(shares))], critiques)
@@ -149,8 +174,11 @@ class Learner:
         batch, known = self._begin(batch, run)
         if not known:
             return {}
-        for critic, critique in zip(self.critic_learners, self._criticised(batch, run), strict=True):
-            critic.update(critique, self._decay(), self.dice, run)
+        critics = self.critic_learners
+        for critic, critique, mine in zip(
+            critics, self._criticised(batch, run), self._orders(critics, batch), strict=True
+        ):
+            critic.update(critique, self._decay(), mine, run)
         return self._read({})
 
     def values(self, batch: Batch) -> list[Tensor]:
@@ -214,6 +242,10 @@ class Learner:
     def _order(self) -> list[int]:
         n = len(self.actor_learners)
         return list(range(n)) if self.config.fixed_order else torch.randperm(n, generator=self.rng).tolist()
+
+    def _orders(self, learners: Sequence[ActorLearner | CriticLearner], batch: Batch) -> list[Sequence[Tensor]]:
+        """For each learner the orders in which it will go through its rows of the batch."""
+        return orders([learner.rows_of(batch) for learner in learners], self.config.epochs, self.dice)
 
     def _decay(self) -> float:
         """What is left of the step sizes."""

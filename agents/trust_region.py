@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.distributions import Normal, kl_divergence
 
 from agents.actors import FIGURES, ActorLearner
-from agents.batch import Share
+from agents.batch import Batch, Share
 from agents.graphs import Run
 from agents.networks import Actor
 from agents.optimise import Tally, parts
@@ -24,12 +24,16 @@ class TrustRegionLearner(ActorLearner):
         self.optimizer = None
         self.tally = Tally((*FIGURES, "step_length"), network.std_scale.device)
 
-    def update(self, share: Share, decay: float, dice: torch.Generator, run: Run) -> None:
+    def rows_of(self, batch: Batch) -> int:
+        """None that would need an order."""
+        return 0
+
+    def update(self, share: Share, decay: float, orders: Sequence[Tensor], run: Run) -> None:
         """Step by √(2δ / s·Hs) · s, s = H⁻¹ ∇L, shortened until it brings what it promised and KL stays below δ.
 
         L is the mean of ratio · M·Â, H the Hessian of KL(π_before ‖ π) with its damping. Where no try is good enough
         the policy stays as it is. How often it tries hangs on numbers that it reads, so no graph replays it: `decay`,
-        `dice` and `run` are for other learners.
+        `orders` and `run` are for other learners.
         """
         part, taught = parts(share.valid, self.together)
         if not taught:

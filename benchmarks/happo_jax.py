@@ -93,10 +93,8 @@ def permutations_of(learner: Learner, size: int) -> Array:
     rng, dice = torch.Generator(), torch.Generator(learner.device)
     rng.set_state(learner.rng.get_state())
     dice.manual_seed(draw_seed(rng))
-    critic, *actors = (
-        np.stack([order.cpu().numpy() for order in orders(size, learner.config.epochs, dice)])
-        for _ in range(len(learner.actors) + 1)
-    )
+    drawn = orders([size] * (len(learner.actors) + 1), learner.config.epochs, dice)
+    critic, *actors = (np.stack([order.cpu().numpy() for order in each]) for each in drawn)
     return jnp.asarray(np.stack([*actors, critic]))
 
 

@@ -47,7 +47,12 @@ def assert_alike(variant: dict[str, Any], device: str, experience, rounding: flo
         # HATRPO's natural gradient takes advantages, whose last digits differ, and later critics', ten times as hard.
         hard = variant.get("method") == "hatrpo"
         bound = (50 if seed else 5) * rounding if hard else rounding
-        assert one == pytest.approx(other, rel=10 * bound, abs=bound)
+        figures = 10 * bound
+        # LayerNorm divides by the deviation of six numbers: plain updates from batches that differ in their last digits
+        # end 5e-6 apart (recurrent, shared; paper), and a figure of paper by 7e-4 of itself.
+        if variant.get("architecture", BASE.architecture).layer_norm:
+            bound, figures = max(bound, 1e-5), max(figures, 5e-4)
+        assert one == pytest.approx(other, rel=figures, abs=bound)
         theirs = plain.state()
         for name, array in compiled.state().items():
             np.testing.assert_allclose(array, theirs[name], rtol=bound, atol=bound, err_msg=name)

@@ -176,7 +176,7 @@ def test_a_step_goes_along_the_natural_gradient_as_far_as_the_divergence_allows(
     before = [p.detach().clone() for p in (actor.mean.weight, actor.mean.bias)]
     learner.actor_learners[0].network.parameters = lambda: iter([actor.mean.weight, actor.mean.bias])
     every = torch.ones(len(obs), dtype=torch.bool)
-    learner.actor_learners[0].update(Share(obs, actions, old, MA, every), 1.0, learner.dice, Plainly())
+    learner.actor_learners[0].update(Share(obs, actions, old, MA, every), 1.0, [], Plainly())
     figures = means([learner.actor_learners[0].tally])
     step = torch.cat([(actor.mean.weight - before[0]).detach(), (actor.mean.bias - before[1]).detach()[:, None]], 1)
     expected = []

@@ -3,13 +3,16 @@
 import copy
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from agents import optimise
 from agents.batch import clean
+from agents.optimise import orders, sorted_orders
 from agents.settings import Architecture, HappoConfig
 from storage import arrays
 from tests.agents.paper import (
@@ -243,3 +246,29 @@ def test_learners_are_made_from_their_own_seed_alone(same):
     assert torch.equal(torch.rand(3), following)
     assert same(learner.state(), new_learner(2, seed=7).state())
     assert not same(learner.state(), new_learner(2, seed=8).state())
+
+
+def test_orders_that_a_gpu_sorts_are_orders_and_differ():
+    dice = torch.Generator().manual_seed(1)
+    drawn = sorted_orders(1000, 40, dice)
+    assert drawn.dtype == torch.int64
+    assert torch.equal(drawn.sort(1).values, torch.arange(1000).expand(40, -1))
+    assert len({tuple(order.tolist()) for order in drawn}) == 40
+    # Each row's mean place over 40 orders: 499.5, with a deviation of 1000 / sqrt(12 * 40) = 45.6.
+    places = drawn.argsort(1).float().mean(0)
+    assert places.mean() == pytest.approx(499.5)
+    assert places.std() == pytest.approx(45.6, rel=0.1)
+    assert torch.equal(drawn, sorted_orders(1000, 40, torch.Generator().manual_seed(1)))
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda"])  # as if it were one: what is sorted there is drawn here
+def test_each_learner_has_orders_of_its_own_rows(device, monkeypatch):
+    dice = torch.Generator().manual_seed(1)
+    if device == "cuda":
+        monkeypatch.setattr(optimise, "sorted_orders", lambda size, count, _: sorted_orders(size, count, dice))
+        dice_there = SimpleNamespace(device=torch.device("cuda"))
+    drawn = orders([60, 40, 60, 0], 3, dice if device == "cpu" else dice_there)
+    assert [[sorted(order.tolist()) for order in each] for each in drawn] == [
+        [list(range(size))] * 3 for size in (60, 40, 60, 0)
+    ]
+    assert len({tuple(order.tolist()) for each in drawn[:3] for order in each}) == 9  # no two share one
