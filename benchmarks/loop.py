@@ -23,8 +23,8 @@ from benchmarks.record import spread
 from benchmarks.replay import Pair, clocks
 from league.config.experiment import Config
 from league.create import players_of
-from league.learners import beside
 from league.policies import seat
+from league.studies import Studies, Study
 from league.train import Trainer
 
 Verb = Callable[[Worlds, Array], tuple[Worlds, Trajectory]]  # goes on from worlds by one rollout, with this key
@@ -66,7 +66,8 @@ class Loop:
     def __init__(self, ground: Ground, frozen: list[list[Learner]] | None = None):
         self.ground, self.learners = ground, ground.learners()
         self.learning = self.learners[:1] if frozen else self.learners
-        self._each = beside(self.learning)
+        self._studies = Studies(self.learning)
+        self._studies.assist(len(self.learning))  # as a league has it from its first seconds on
         self.frozen = [[to_jax(learner.policies()) for learner in teams] for teams in frozen or []]
         self.groups = len(self.frozen) or 1
         self.worlds = ground.worlds // self.groups * self.groups
@@ -96,7 +97,7 @@ class Loop:
         """A rollout and the updates after it."""
         now, trajectory = self.roll(now, key)
         batches = [self.batch(team, trajectory) for team in range(len(self.learning))]
-        list(self._each(Learner.update, self.learning, batches))
+        self._studies([Study(*each) for each in zip(self.learning, batches, strict=True)])
         self.seated = self._seated()
         return now, trajectory
 

@@ -1,9 +1,7 @@
-"""Players' learners: made as the league's settings and their own have them, and how several learn at once."""
+"""Players' learners: made, and given what to learn from, as the league's settings and their own have them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -15,7 +13,6 @@ from agents.parallel import ALONE, Together
 from agents.rollout import Trajectory
 from agents.settings import HappoConfig
 from arenas.arena import Arena
-from arenas.cores import cores
 from arenas.state import TeamSpec
 from league import heirs
 from league.config.experiment import Config
@@ -83,12 +80,3 @@ def batch_of(
 def others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:
     """The teams whose observations a team's critic sees beside its own."""
     return [t for i, t in enumerate(arena.teams) if i != team and config.learner.critic_input == "all"]
-
-
-def beside(learners: Sequence[Learner]) -> Callable[..., Iterable[Any]]:
-    """A `map` under which learners learn at the same time on a CPU's cores, which one alone does not fill.
-
-    A GPU is asked by one thread: it is busy with one update. So are ranks, that all may hear the same in one order.
-    """
-    free = all(learner.device.type == "cpu" and learner.together.size == 1 for learner in learners)
-    return ThreadPoolExecutor(cores(), "update").map if free else map

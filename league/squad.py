@@ -9,8 +9,9 @@ from arenas.arena import Arena
 from league import fading, lives, population
 from league.config.experiment import Config
 from league.jobs import TrainingTurn
-from league.learners import begin_anew, beside, new_learner, settings_of
+from league.learners import begin_anew, new_learner, settings_of
 from league.policies import freeze
+from league.studies import Studies
 from matchmaking.pbt import explored
 from matchmaking.roles import Role
 from storage import arrays
@@ -37,7 +38,7 @@ class Squad:
         self.learners = {player.name: new_learner(config, arena, player, together) for player in players}
         self.counters = {player.name: Counters() for player in players}
         self.histories: Mapping[str, list[Snapshot]] = {}  # of the players of the turn, oldest first
-        self.each = beside(list(self.learners.values()))
+        self.studies = Studies(list(self.learners.values()))
         self._fading = {name: self._unfaded() for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners stand at
         self._log: list[Meeting] = []  # of the store's, as far as it was read

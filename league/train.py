@@ -35,6 +35,7 @@ from league.learners import batch_of
 from league.lineup import Lineup
 from league.recorder import Recorder
 from league.squad import Counters, Squad
+from league.studies import Study
 from storage.records import ArenaKey, CurvePoint, Lease, Meeting, Player
 from storage.store import Store
 
@@ -169,7 +170,9 @@ class Trainer:
             name: outcomes(trajectory, self.squad.players[name].team, lineup.worlds_of(name), self.together.add)
             for name in turn.learners
         }
-        taught = list(self.squad.each(self._update, names, batches, [name in resting for name in names]))
+        learners = [self.squad.learners[name] for name in names]
+        rests = [name in resting for name in names]
+        taught = self.squad.studies([Study(*each) for each in zip(learners, batches, rests, strict=True)])
         self._recall(names, lineup)
         diverged: dict[str, object] = {}
         for name, losses in zip(names, taught, strict=True):
@@ -190,14 +193,6 @@ class Trainer:
         """Players whose critics learn in the turn: the learners, then who rests and is followed."""
         resting = self.squad.resting(turn) if self.config.training.resting_critics else []
         return [*turn.learners, *(name for name in resting if lineup.teaches(name))]
-
-    def _update(self, name: str, batch: Batch, rests: bool) -> dict[str, float] | Diverged:
-        """A player's update, of its critic alone where it rests; it touches nothing that another player has."""
-        learner = self.squad.learners[name]
-        try:
-            return learner.update_critic_only(batch) if rests else learner.update(batch)
-        except Diverged as error:
-            return error
 
     def _recall(self, names: Sequence[str], lineup: Lineup) -> None:
         """Keep what critics remember of the worlds that they have just learnt from, for the rollout that goes on there.

@@ -11,6 +11,7 @@ from league.config import experiment as configuration
 from league.config.experiment import PlayerSettings
 from league.recorder import Recorder
 from league.standing import Standing
+from league.studies import here
 from league.train import PlayerDiverged
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
@@ -25,8 +26,8 @@ from tests.league.turns import LEAGUE, claim, ends, new_store, new_trainer, sett
 @pytest.mark.parametrize("kind", ["simultaneous", "leapfrog"])  # in leapfrog the critic of who rests learns beside
 def test_that_players_learn_at_the_same_time_changes_no_byte(duel_store, duel, tmp_path, monkeypatch, kind):
     config = settings(Schedule(kind, period=1), device="cpu")
-    assert turns(duel_store, config, duel, 2).squad.each is not map
-    monkeypatch.setattr("league.squad.beside", lambda learners: map)
+    turns(duel_store, config, duel, 2)
+    monkeypatch.setattr("league.squad.Studies", lambda learners: lambda studies: [here(study) for study in studies])
     with new_store(tmp_path / "other", duel) as other:
         turns(other, config, duel, 2)
         assert ends(other) == ends(duel_store)
