@@ -80,19 +80,12 @@ def with_actor(state: State, i: int, given: State, j: int) -> dict[str, np.ndarr
     mine, theirs = (leaders(s, _agents(s)) for s in (state, given))
     here, there = mine[i], theirs[j]
     new = {k.replace(f".{there}.", f".{here}.", 1): v for k, v in given.items() if k.startswith(f"actor.{there}.")}
-    counts = state["observation_counts"].copy()
-    counts[_place(mine, here)] = given["observation_counts"][_place(theirs, there)]
-    return {**state, **new, "observation_counts": counts}
+    return {**state, **new}
 
 
 def with_critics(state: State, given: State) -> dict[str, np.ndarray]:
     """The state with another learner's critics, their value normalisers and what they know of observations."""
-    new = {k: v for k, v in given.items() if k.startswith(("critic.", "value_norm."))}
-    own, other = (len(set(leaders(s, _agents(s)))) for s in (state, given))
-    counts, theirs = state["observation_counts"].copy(), given["observation_counts"][other:]
-    if len(theirs) == len(counts) - own:  # else the names of the critics differ too, which `read` refuses
-        counts[own:] = theirs
-    return {**state, **new, "observation_counts": counts}
+    return {**state, **{k: v for k, v in given.items() if k.startswith(("critic.", "value_norm."))}}
 
 
 def unmoved(state: State) -> dict[str, np.ndarray]:
@@ -100,8 +93,10 @@ def unmoved(state: State) -> dict[str, np.ndarray]:
 
     What a stage does not have yet is a constant there, of which the normaliser makes 0, so its weights stay as they
     were drawn. Where it then moves, a deviation of nothing would make it as large as is allowed, and the policy a new
-    one. Behind a LayerNorm the weights matter even at rest, and stay; the deviation is 1 in any case.
+    one. Of how it moves nothing is known, so the first batch says that. Behind a LayerNorm the weights matter even at
+    rest, and stay; the deviation is 1 in any case.
     """
+    state = upgraded(state)
     new = dict(state)
     for name in (name for name in state if name.endswith(".trunk.observation_var")):
         trunk, rests = name.removesuffix("observation_var"), state[name] < CONSTANT
@@ -109,7 +104,24 @@ def unmoved(state: State) -> dict[str, np.ndarray]:
         if f"{trunk}norm.0.weight" not in state:
             weights = state[f"{trunk}hidden.0.weight"]
             new[f"{trunk}hidden.0.weight"] = np.where(rests, np.zeros_like(weights), weights)
+            observed = f"{trunk.removesuffix('trunk.')}observed"
+            new[observed] = np.where(rests, np.zeros_like(state[observed]), state[observed])
     return new
+
+
+def upgraded(state: State) -> dict[str, np.ndarray]:
+    """The state as it is written now. Until 0.2 it had one count of decisions for all that an actor or critic sees."""
+    new = dict(state)
+    if (counts := new.pop("observation_counts", None)) is not None:
+        end = ".trunk.observation_mean"
+        networks = sorted((k.removesuffix(end) for k in state if k.endswith(end)), key=_place)
+        new |= {f"{k}.observed": np.full_like(state[k + end], n) for k, n in zip(networks, counts, strict=True)}
+    return new
+
+
+def observed(state: State) -> dict[str, np.ndarray]:
+    """What of the state says of how many decisions each number that is seen is known."""
+    return {k: v for k, v in state.items() if k.endswith(".observed")}
 
 
 def _agents(state: State) -> int:
@@ -117,6 +129,7 @@ def _agents(state: State) -> int:
     return len({k.split(".")[1] for k in state if k.startswith("actor.")})
 
 
-def _place(leading: Sequence[int], agent: int) -> int:
-    """Which of the observation counts is that of an actor."""
-    return sorted(set(leading)).index(agent)
+def _place(network: str) -> tuple[str, int]:
+    """Networks in their order: actors, then critics, by their numbers."""
+    kind, _, number = network.partition(".")
+    return kind, int(number or 0)

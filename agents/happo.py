@@ -106,8 +106,9 @@ class Learner:
         ]
         self.standardised = fused(self._standardised, c.compiled and together.size == 1)
         self.remembered: Sequence[Tensor] = ()
-        # Of each actor, then of each critic:
-        self.observation_counts = torch.zeros(len(actors) + len(critics), device=self.device)
+        # Of each actor, then of each critic: of how many decisions it knows each number that it sees.
+        trunks = [network.trunk for network in (*actors, *critics)]
+        self.observed = [torch.zeros_like(trunk.observation_mean) for trunk in trunks]
         self.steps = torch.zeros((), dtype=torch.int64)  # decisions × worlds learnt from, where step sizes decay
 
     @property
@@ -153,7 +154,7 @@ class Learner:
         for k, mine in zip(order, drawn[len(critics) :], strict=True):
             actor = self.actor_learners[k]
             share = shares[k] = run(actor.share, batch, M, A_hat)
-            if self.config.method in ("happo", "hatrpo"):
+            if self.config.method in ("happo", "hatrpo") and k != order[-1]:  # after the last one nobody asks for M
                 before = run(actor.log_probs, share)
                 actor.update(share, decay, mine, run)
                 M *= run(actor.ratios, share, before)
@@ -262,21 +263,23 @@ class Learner:
 
     @torch.no_grad()
     def _observe(self, shares: Sequence[Share], critiques: Sequence[Critique]) -> None:
-        """Merge what actors and critics saw into the running statistics (Chan et al., 1979)."""
+        """Merge what actors and critics saw into the running statistics (Chan et al., 1979).
+
+        What they make of it stays the same, but of numbers that nothing was known of before (`Trunk.renormalise`).
+        """
         seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
         seen = [(x.observations if isinstance(x, Sequences) else x, valid) for x, valid in seen]
         seen = [(obs.flatten(0, -2), valid.flatten()) for obs, valid in seen]  # each decision
         trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
-        for trunk, (obs, valid), count in zip(trunks, seen, self.observation_counts, strict=True):
+        for trunk, (obs, valid), count in zip(trunks, seen, self.observed, strict=True):
             part, _ = parts(valid, self.together)
             (n,), part = self.together.sum(valid.sum()), part[:, None]
             weight = n / (count + n).clamp(min=1)
             (mean,) = self.together.sum((obs * part).sum(0))
-            gap = mean - trunk.observation_mean
+            gap, var = mean - trunk.observation_mean, trunk.observation_var
             (spread,) = self.together.sum(((obs - mean) ** 2 * part).sum(0))
-            var = trunk.observation_var
-            var += weight * (spread - var) + weight * (1 - weight) * gap**2
-            trunk.observation_mean += weight * gap
+            var = var + weight * (spread - var) + weight * (1 - weight) * gap**2
+            trunk.renormalise(trunk.observation_mean + weight * gap, var, count > 0)
             trunk.observation_clip.masked_fill_(n > 0, OBSERVATION_CLIP)  # now there is something to normalise by
             count += n
 
@@ -316,7 +319,7 @@ class Learner:
         Raises ValueError naming what is missing, of another shape, activation or kind of policy, or not finite; then
         nothing changed.
         """
-        tensors = self._tensors()
+        tensors, state = self._tensors(), checkpoint.upgraded(state)
         fixed = [k for k in tensors if k.endswith((".activation", ".squash")) or k == "sharing"]
         checkpoint.read(tensors, fixed, self.rng, state)
 
@@ -330,7 +333,7 @@ class Learner:
         share an actor go on from what is given for the first of them. Where they learnt `elsewhere`, inputs that never
         moved there say nothing here at first. Raises ValueError as `load` does.
         """
-        state, given = self.state(), checkpoint.unmoved if elsewhere else dict
+        state, given = self.state(), checkpoint.unmoved if elsewhere else checkpoint.upgraded
         for i, source in enumerate(actors):
             if source is not None and self.leaders[i] == i:
                 state = checkpoint.with_actor(state, i, given(source[0]), source[1])
@@ -345,8 +348,8 @@ class Learner:
         for i, critic in enumerate(self.critic_learners):
             name = "value_norm" if alone else f"value_norm.{i}"
             tensors |= {f"{name}.{k}": v for k, v in critic.value_norm.state_dict().items()}
-        tensors["observation_counts"] = self.observation_counts
-        for name, learner in named.items():
+        for (name, learner), count in zip(named.items(), self.observed, strict=True):
+            tensors[f"{name}.observed"] = count
             tensors |= moments(f"adam.{name}", learner.network, learner.optimizer)
             if isinstance(learner, ActorLearner) and self.config.kl_step is not None:
                 tensors[f"adam.{name}.lr"] = learner.lr

@@ -51,13 +51,33 @@ class Trunk(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Features of observations."""
-        x = (x - self.observation_mean) / torch.sqrt(self.observation_var.clamp(min=VARIANCE_FLOOR))
+        x = (x - self.observation_mean) / self._deviation(self.observation_var)
         x = x.clamp(-self.observation_clip, self.observation_clip)
         x = self.norm[0](x) if self.norm else x
         for i, layer in enumerate(self.hidden):
             x = self._apply_activation(layer(x))
             x = self.norm[i + 1](x) if self.norm else x
         return x
+
+    @torch.no_grad()
+    def renormalise(self, mean: Tensor, var: Tensor, known: Tensor) -> None:
+        """Normalise by other statistics (n,) from now on, and say the same of inputs that were `known` (n,) bool.
+
+        W (x − m) / σ + b = W' (x − m') / σ' + b' where W' = W σ' / σ and b' = b + W (m' − m) / σ: before a network what
+        PopArt (van Hasselt et al., 2016) does behind it. Else each batch would move the policy, and much so where it
+        goes on in another arena. Behind a LayerNorm of the input no weights make up for it; nor where it is clipped.
+        """
+        if not self.norm:
+            layer, before, now = self.hidden[0], self._deviation(self.observation_var), self._deviation(var)
+            assert isinstance(layer, nn.Linear)
+            layer.bias.add_(layer.weight @ ((mean - self.observation_mean) / before).masked_fill(~known, 0.0))
+            layer.weight.mul_((now / before).masked_fill(~known, 1.0))
+        self.observation_mean.copy_(mean)
+        self.observation_var.copy_(var)
+
+    @staticmethod
+    def _deviation(var: Tensor) -> Tensor:
+        return torch.sqrt(var.clamp(min=VARIANCE_FLOOR))
 
 
 class GRU(nn.Module):

@@ -201,14 +201,14 @@ def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[
     return f"{league}/{player}@{kept.iteration}", arrays.from_bytes(store.blobs.get(kept.digest))
 
 
-def thaw_into(learner: "Learner", frozen: bytes, counts: np.ndarray) -> None:
+def thaw_into(learner: "Learner", frozen: bytes, known: Mapping[str, np.ndarray]) -> None:
     """Give a learner the actors of a snapshot of its own roster.
 
-    `counts` says of how many decisions each actor's statistics of observations are worth. Raises ValueError as
-    `Learner.load` does.
+    `known` says of how many decisions the statistics of observations are worth (`checkpoint.observed`). Raises
+    ValueError as `Learner.load` does.
     """
     policies = arrays.from_bytes(frozen)
-    state = _named(policies) | {"observation_counts": counts}
+    state = {**_named(policies), **known}
     if "sharing" in (own := learner.state()):
         state["sharing"] = own["sharing"]
     learner.inherit([(state, i) for i in range(len(learner.actors))], None)
@@ -224,6 +224,8 @@ def _thawed(policy: exchange.Policy) -> dict[str, np.ndarray]:
     as the decisions that it learnt from in its last league, so that a first batch does not overthrow them.
     """
     state = _named(policy.arrays)
-    clips = [policy.arrays[f"{i}/trunk.observation_clip"] for i in range(policy.about["roster"].count("+") + 1)]
-    counts = [policy.about["steps"] if np.isfinite(clip) else 0 for clip in clips]
-    return {**state, "observation_counts": np.asarray(counts, np.float32)}
+    for i in range(policy.about["roster"].count("+") + 1):
+        trunk = f"actor.{i}.trunk.observation_"
+        known = policy.about["steps"] if np.isfinite(state[f"{trunk}clip"]) else 0
+        state[f"actor.{i}.observed"] = np.full_like(state[f"{trunk}mean"], known)
+    return state

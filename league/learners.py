@@ -6,6 +6,7 @@ from zlib import crc32
 
 import numpy as np
 
+from agents import checkpoint
 from agents.batch import Batch
 from agents.bridge import Recalled, common_size, team_batch
 from agents.happo import Learner
@@ -56,10 +57,10 @@ def begin_anew(
     from another league brings it along, and there it is worth as many as now.
     """
     fresh = new_learner(config, arena, player, together)
-    counts = learner.state()["observation_counts"]
+    known = checkpoint.observed(learner.state())
     if not (source.initial and config.after):
-        counts = np.full_like(counts, source.step)
-    heirs.thaw_into(fresh, store.blobs.get(source.digest), counts)
+        known = {name: np.full_like(counts, source.step) for name, counts in known.items()}
+    heirs.thaw_into(fresh, store.blobs.get(source.digest), known)
     learner.load(fresh.state())
     learner.rng.manual_seed(crc32(f"{config.seed}/{player.name}/{iteration}".encode()))
 

@@ -66,7 +66,7 @@ def test_who_is_out_all_the_time_changes_nothing_but_its_own_critic(variant, exp
 
 def test_settings_that_are_off_leave_no_trace_in_a_checkpoint():
     keys = set(new_learner(PLAIN).state())
-    assert {k.split(".")[0] for k in keys} == {"actor", "adam", "critic", "observation_counts", "rng", "value_norm"}
+    assert {k.split(".")[0] for k in keys} == {"actor", "adam", "critic", "rng", "value_norm"}
     for name, added in {
         "decay": {"steps"},
         "shared": {"sharing"},
@@ -100,6 +100,17 @@ def test_another_limit_is_another_policy():
         small.load(large.state())
 
 
+def test_a_checkpoint_of_before_each_number_was_counted_is_read(experience, same):
+    learner, later = new_learner(FULL, seed=1), new_learner(FULL, seed=2)
+    learner.update(experience(learner, seed=4))
+    state = learner.state()
+    counts = [state.pop(f"{name}.observed")[0] for name in ("actor.0", "actor.1", "actor.2", "critic")]
+    later.load({**state, "observation_counts": np.array(counts, np.float32)})
+    same(later.state(), learner.state())
+    later.inherit([({**state, "observation_counts": np.array([1, 2, 3, 4], np.float32)}, 1), None, None], None)
+    assert [set(n.tolist()) for n in later.observed] == [{2}, {48}, {48}, {48}]
+
+
 def test_shared_and_single_actors_go_on_from_each_other(experience):
     shared, single = (new_learner(replace(FULL, share_actors=s), seed=1 + s) for s in (True, False))
     for learner in (shared, single):
@@ -109,8 +120,8 @@ def test_shared_and_single_actors_go_on_from_each_other(experience):
     split.inherit([(shared.state(), 1), (shared.state(), 0), (shared.state(), 2)], None)
     assert worst_gap(split.actors[0], shared.actors[0]) == worst_gap(split.actors[1], shared.actors[0]) == 0.0
     assert worst_gap(split.actors[2], shared.actors[2]) == 0.0
-    assert split.observation_counts.tolist() == [96, 96, 48, 0]
+    assert [set(n.tolist()) for n in split.observed] == [{96}, {96}, {48}, {0}]
     joined = new_learner(replace(FULL, share_actors=True), seed=9)
     joined.inherit([(theirs, 1), (theirs, 0), (theirs, 2)], theirs)
     assert worst_gap(joined.actors[0], single.actors[1]) == worst_gap(joined.actors[2], single.actors[2]) == 0.0
-    assert joined.observation_counts.tolist() == [48, 48, 48]
+    assert [set(n.tolist()) for n in joined.observed] == [{48}, {48}, {48}]

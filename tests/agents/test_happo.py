@@ -127,6 +127,27 @@ def test_observation_statistics_are_those_of_all_that_was_seen(experience):
         torch.testing.assert_close(trunk.observation_var, obs.var(0, correction=0), atol=1e-4, rtol=1e-4)
 
 
+def test_what_actors_and_critics_say_stays_as_their_statistics_move(experience):
+    """Else a policy that goes on where robots see other things is another one before it has learnt anything."""
+    learner = new_learner(2, replace(FULL, lr=0.0, critic_lr=0.0))
+    learner.update(experience(learner, seed=5))
+    first, then = experience(learner, seed=6), experience(learner, seed=6, N=40)
+    then.observations[0].mul_(3.0).add_(5.0)
+    networks = [learner.actors[0], critic_of(learner)]
+    seen = [x.flatten(0, 1) / 4 for x in (first.observations[0], torch.cat(list(first.observations), -1))]  # unclipped
+
+    def said() -> list[Tensor]:
+        with torch.no_grad():
+            actor, critic = networks
+            return [actor(seen[0]).mean, critic(seen[1])]
+
+    before, means = said(), [network.trunk.observation_mean.clone() for network in networks]
+    learner.update(then)
+    assert all((m - n.trunk.observation_mean).abs().max() > 1 for m, n in zip(means, networks, strict=True))
+    for was, now in zip(before, said(), strict=True):
+        torch.testing.assert_close(now, was, atol=1e-5, rtol=1e-5)
+
+
 @pytest.mark.parametrize("method", ["happo", "ippo"])
 def test_values_are_those_that_advantages_are_taken_from_in_units_of_reward(experience, same, method):
     learner = new_learner(2, replace(FULL, method=method, gamma=0.0))
