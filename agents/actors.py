@@ -38,13 +38,17 @@ class ActorLearner:
         """What the agents did in a clean batch, one after the other, each with its own M·Â."""
         chunk, units, found = self.config.sequence, self.config.architecture.recurrent, []
         for i in self.agents:
-            obs, actions, old, alive = (
-                rows(x[i], chunk) for x in (batch.observations, batch.actions, batch.log_probs, batch.alive)
-            )
+            actions, old, alive = (rows(x[i], chunk) for x in (batch.actions, batch.log_probs, batch.alive))
+            obs = self.network.trunk.normalised(rows(batch.observations[i], chunk))
             if chunk is not None:
                 obs = Sequences(obs, rows(batch.first[0], chunk), batch.memories[i][..., :units].flatten(0, 1))
             found.append(Share(obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive))
         return pytree.tree_map(lambda *each: torch.cat(each), *found)
+
+    def seen(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """(B, obs) What agents saw in the decisions of a clean batch, one after the other; (B,) bool: took part."""
+        mine = [(batch.observations[i].flatten(0, 1), batch.alive[i].flatten()) for i in self.agents]
+        return torch.cat([obs for obs, _ in mine]), torch.cat([alive for _, alive in mine])
 
     @torch.no_grad()
     def _log_probs(self, share: Share) -> Tensor:

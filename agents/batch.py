@@ -43,10 +43,16 @@ class Batch(NamedTuple):
     recalled: Sequence[Tensor] = ()  # (N, units) of each critic, before the first decision; none: of fresh worlds
 
 
+class Normalised(NamedTuple):
+    """Observations as a network first makes them: once for all passes over a batch, in which its statistics rest."""
+
+    numbers: Tensor  # (..., obs)
+
+
 class Sequences(NamedTuple):
     """What a recurrent network sees: B sequences of L observations, and what of the past matters to them."""
 
-    observations: Tensor  # (B, L, obs)
+    observations: Tensor | Normalised  # (B, L, obs)
     first: Tensor  # (B, L) bool: with it an episode begins
     memory: Tensor  # (B, units) that the network remembered before the sequence
 
@@ -58,7 +64,7 @@ class Sequences(NamedTuple):
 class Share(NamedTuple):
     """What an actor learns from: B rows of each of its agents, with zeros where `valid` says no."""
 
-    observations: Tensor | Sequences  # (B, obs)
+    observations: Normalised | Sequences  # (B, obs)
     actions: Tensor  # (B, act)
     log_probs: Tensor  # (B,) of the policy that acted
     MA: Tensor  # (B,) M·Â
@@ -68,7 +74,7 @@ class Share(NamedTuple):
 class Critique(NamedTuple):
     """What a critic makes of the B rows of a batch, as often as it has sides; the team's own come first."""
 
-    seen: Tensor | Sequences  # (B, all that it sees)
+    seen: Normalised | Sequences  # (B, all that it sees)
     predictions: Tensor  # (B,) in normalised units, as all that the critic says
     values: Tensor  # (B,) the same in units of reward
     advantages: Tensor  # (T·N,) of the team itself

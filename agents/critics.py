@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
+from torch.utils import _pytree as pytree
 
-from agents.batch import Batch, Critique, Sequences, Side, rows, rows_of, sides
+from agents.batch import Batch, Critique, Normalised, Sequences, Side, rows, rows_of, sides
 from agents.graphs import Run
 from agents.networks import Critic
 from agents.optimise import Tally, adam, fused, minibatches, networks, parts, slope, step
@@ -41,37 +42,43 @@ class CriticLearner:
     @torch.no_grad()
     def _criticise(self, batch: Batch) -> Critique:
         """Values, advantages and returns of a clean batch by the critic as it is before the update."""
-        c = self.config
-        own, *more = (self._of_side(batch, side) for side in sides(batch, self.agents, c.critic_input == "all"))
+        own, *more = (self._of_side(batch, side) for side in self._sides(batch))
         if not more:
-            return own
-        *held, _ = zip(own, *more, strict=True)  # such a critic remembers nothing
-        seen, old, values, _, R, valid = map(torch.cat, held)
-        return Critique(seen, old, values, own.advantages, R, valid)
+            return own  # the only one that may remember anything
+        return pytree.tree_map(lambda *each: torch.cat(each), own, *more)._replace(advantages=own.advantages)
+
+    def _sides(self, batch: Batch) -> Sequence[Side]:
+        return sides(batch, self.agents, self.config.critic_input == "all")
+
+    def seen(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """(B, n) What it saw in the decisions of a clean batch, side by side, and (B,) bool: not void."""
+        shown = self._sides(batch)
+        return torch.cat([s.seen.flatten(0, 1) for s in shown]), ~torch.cat([s.void.flatten() for s in shown])
 
     @torch.no_grad()
     def values(self, batch: Batch) -> Tensor:
         """(T, N) What it holds the states to be worth in which a clean batch's decisions were made, as rewards are."""
-        side = sides(batch, self.agents, self.config.critic_input == "all")[0]
+        side = self._sides(batch)[0]
         known = self.network(side.seen) if self.config.sequence is None else self._along(batch, side)[0]
         return self._denormalise(known)
 
     def _of_side(self, batch: Batch, side: Side) -> Critique:
         c = self.config
+        shown = self.network.trunk.normalised(side.seen)
         if c.sequence is None:
-            predictions, following, states = self.network(side.seen), self.network(side.next_seen), None
+            predictions, following, states = self.network(shown), self.network(side.next_seen), None
         else:
             predictions, following, states = self._along(batch, side)
         values, next_values = self._denormalise(predictions), self._denormalise(following)
         ends = side.terminated, batch.truncated, side.void
         A = advantages(side.rewards, values, next_values, *ends, c.gamma, c.lam)
-        found = side.seen, predictions, values, A, A + values, ~side.void
+        found = shown.numbers, predictions, values, A, A + values, ~side.void
         seen, old, known, gained, R, valid = (rows(x, c.sequence) for x in found)
-        critique = Critique(seen, old, known, gained, R, valid)
+        critique = Critique(Normalised(seen), old, known, gained, R, valid)
         if states is None:
             return critique
         before = torch.cat([batch.recalled[self.number][None], states[c.chunk - 1 : -1 : c.chunk]])
-        chunks = Sequences(seen, rows(batch.first[0], c.chunk), before.flatten(0, 1))
+        chunks = Sequences(Normalised(seen), rows(batch.first[0], c.chunk), before.flatten(0, 1))
         return critique._replace(seen=chunks, last=[states[-1].clone()])
 
     def _along(self, batch: Batch, side: Side) -> tuple[Tensor, Tensor, Tensor]:
@@ -104,7 +111,7 @@ class CriticLearner:
             *gradient, loss = self.together.sum(*slope(self.network, loss), loss.detach())
             self.step(gradient, taught, loss)
 
-    def _loss(self, seen: Tensor | Sequences, old: Tensor, R: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    def _loss(self, seen: Normalised | Sequences, old: Tensor, R: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         """The loss of a minibatch, whose returns the normaliser sees; and whether any decision counts, () 1 or 0."""
         part, taught = parts(valid, self.together)
         if self.config.value_norm:
@@ -138,7 +145,7 @@ class CriticLearner:
 
 
 def value_loss(
-    network: Critic, seen: Tensor | Sequences, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig
+    network: Critic, seen: Normalised | Sequences, old: Tensor, target: Tensor, part: Tensor, c: HappoConfig
 ) -> Tensor:
     """The larger of the Huber losses of the value and of the value held within `clip` of what it was.
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from agents import checkpoint
 from agents.actors import ActorLearner
-from agents.batch import Batch, Critique, Sequences, Share, clean, rows
+from agents.batch import Batch, Critique, clean, rows
 from agents.checkpoint import State
 from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
@@ -150,10 +150,9 @@ class Learner:
                 critic.update(critique, decay, mine, beside)
 
         M = torch.ones_like(critiques[0].advantages)  # the ratios of the agents that have already moved, as rows
-        shares: dict[int, Share] = {}
         for k, mine in zip(order, drawn[len(critics) :], strict=True):
             actor = self.actor_learners[k]
-            share = shares[k] = run(actor.share, batch, M, A_hat)
+            share = run(actor.share, batch, M, A_hat)
             if self.config.method in ("happo", "hatrpo") and k != order[-1]:  # after the last one nobody asks for M
                 before = run(actor.log_probs, share)
                 actor.update(share, decay, mine, run)
@@ -162,7 +161,7 @@ class Learner:
                 actor.update(share, decay, mine, run)
         run.meet()
         if self.config.normalise_observations:
-            run(self._observe, [shares[k] for k in range(len(shares))], critiques)
+            run(self._observe, batch)
         return self._read(self._pace(batch, decay))
 
     @_precisely
@@ -262,16 +261,13 @@ class Learner:
         return {"lr": torch.stack(told).mean().item() * decay} if told else {}
 
     @torch.no_grad()
-    def _observe(self, shares: Sequence[Share], critiques: Sequence[Critique]) -> None:
+    def _observe(self, batch: Batch) -> None:
         """Merge what actors and critics saw into the running statistics (Chan et al., 1979).
 
         What they make of it stays the same, but of numbers that nothing was known of before (`Trunk.renormalise`).
         """
-        seen = [*((s.observations, s.valid) for s in shares), *((c.seen, c.valid) for c in critiques)]
-        seen = [(x.observations if isinstance(x, Sequences) else x, valid) for x, valid in seen]
-        seen = [(obs.flatten(0, -2), valid.flatten()) for obs, valid in seen]  # each decision
-        trunks = [learner.network.trunk for learner in (*self.actor_learners, *self.critic_learners)]
-        for trunk, (obs, valid), count in zip(trunks, seen, self.observed, strict=True):
+        for learner, count in zip((*self.actor_learners, *self.critic_learners), self.observed, strict=True):
+            trunk, (obs, valid) = learner.network.trunk, learner.seen(batch)
             part, _ = parts(valid, self.together)
             (n,), part = self.together.sum(valid.sum()), part[:, None]
             weight = n / (count + n).clamp(min=1)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
-from agents.batch import Sequences
+from agents.batch import Normalised, Sequences
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
 from agents.tanh import tanh
 
@@ -49,15 +49,19 @@ class Trunk(nn.Module):
             nn.init.orthogonal_(layer.weight, _GAIN[architecture.activation])
             nn.init.zeros_(layer.bias)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Features of observations."""
+    def normalised(self, x: Tensor) -> Normalised:
+        """Observations by the statistics of all that were seen."""
         x = (x - self.observation_mean) / self._deviation(self.observation_var)
-        x = x.clamp(-self.observation_clip, self.observation_clip)
-        x = self.norm[0](x) if self.norm else x
+        return Normalised(x.clamp(-self.observation_clip, self.observation_clip))
+
+    def forward(self, x: Tensor | Normalised) -> Tensor:
+        """Features of observations."""
+        seen = (x if isinstance(x, Normalised) else self.normalised(x)).numbers
+        features: Tensor = self.norm[0](seen) if self.norm else seen
         for i, layer in enumerate(self.hidden):
-            x = self._apply_activation(layer(x))
-            x = self.norm[i + 1](x) if self.norm else x
-        return x
+            features = self._apply_activation(layer(features))
+            features = self.norm[i + 1](features) if self.norm else features
+        return features
 
     @torch.no_grad()
     def renormalise(self, mean: Tensor, var: Tensor, known: Tensor) -> None:
@@ -139,7 +143,7 @@ class Network(nn.Module):
         assert self.gru is not None
         return self.gru(self.trunk(seen.observations), seen.first, seen.memory)
 
-    def features(self, seen: Tensor | Sequences) -> Tensor:
+    def features(self, seen: Tensor | Normalised | Sequences) -> Tensor:
         """The last layer's input (..., width). Raises TypeError for a recurrent network that is shown no sequences."""
         if self.gru is None:
             return self.trunk(seen)
@@ -198,7 +202,7 @@ class Actor(Network):
             nn.init.ones_(self.deviation.bias)
         self._squashed, self._state_std = architecture.squash is not None, architecture.state_std
 
-    def gaussian(self, observations: Tensor | Sequences) -> Gaussian:
+    def gaussian(self, observations: Tensor | Normalised | Sequences) -> Gaussian:
         """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
         features = self.features(observations)
         mean = self.mean(features).to(self.dtype)
@@ -206,7 +210,7 @@ class Actor(Network):
         std = torch.sigmoid(logit) * self.std_scale
         return Gaussian(mean, std.expand_as(mean))
 
-    def forward(self, observations: Tensor | Sequences) -> "Gaussian | Squashed":
+    def forward(self, observations: Tensor | Normalised | Sequences) -> "Gaussian | Squashed":
         """The distribution of actions (..., action_size) given observations (..., observation_size)."""
         gaussian = self.gaussian(observations)
         return Squashed(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
@@ -247,7 +251,7 @@ class Critic(Network):
         nn.init.orthogonal_(self.value.weight, 1.0)
         nn.init.zeros_(self.value.bias)
 
-    def forward(self, seen: Tensor | Sequences) -> Tensor:
+    def forward(self, seen: Tensor | Normalised | Sequences) -> Tensor:
         """Values (...) of what is seen (..., sum of sizes), concatenated."""
         return self._value(self.features(seen))
 
