@@ -9,7 +9,7 @@ from torch.utils import _pytree as pytree
 from agents.batch import Batch, Sequences, Share, rows, rows_of
 from agents.graphs import Run
 from agents.networks import Actor
-from agents.optimise import Tally, adam, fused, minibatches, networks, parts, slope, step
+from agents.optimise import Adam, Tally, fused, minibatches, networks, parts, step
 from agents.parallel import ALONE, Together
 from agents.settings import HappoConfig
 
@@ -25,7 +25,7 @@ class ActorLearner:
         device = network.std_scale.device
         self.lr = torch.tensor(config.lr, dtype=torch.float64, device=device)  # part of the state where it adapts
         self.rate = torch.tensor(config.lr, device=device)  # what Adam steps by: `lr`, or what has decayed of it
-        self.optimizer = adam(network, self.rate)
+        self.optimizer = Adam(network, self.rate)
         self.tally = Tally(FIGURES, device)
         self.surrogate_loss = fused(surrogate_loss, config.compiled)
         self.loss = fused(self._loss, config.compiled and together.size == 1)  # messages are no part of kernels
@@ -82,7 +82,7 @@ class ActorLearner:
         c, before = self.config, self.tally.sums.clone()
         for minibatch in minibatches(share, order, c.minibatches):
             loss, found, taught = self.loss(minibatch)
-            mine = (*slope(self.network, loss), loss.detach(), found["entropy"], found["rise"], found["kl"])
+            mine = (*self.optimizer.slope(loss), loss.detach(), found["entropy"], found["rise"], found["kl"])
             *gradient, loss, entropy, rise, kl = self.together.sum(*mine)
             if c.kl_step is not None:  # not in what is compiled: torch 2.13 leaves out what it writes to a float64 ()
                 self._adapt(kl, c.kl_step)
@@ -98,7 +98,7 @@ class ActorLearner:
         self, gradient: Sequence[Tensor], taught: Tensor, loss: Tensor, entropy: Tensor, rise: Tensor, kl: Tensor
     ) -> None:
         """A step of Adam down the gradient, and the figures of the minibatch that it is from."""
-        norm = step(self.optimizer, self.network, gradient, self.config.max_grad_norm, taught)
+        norm = step(self.optimizer, gradient, self.config.max_grad_norm, taught)
         self.tally.note(taught, policy_loss=loss, entropy=entropy, ratio=1 + rise, kl=kl, actor_grad_norm=norm)
 
     def _adapt(self, kl: Tensor, target: float) -> None:

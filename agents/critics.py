@@ -10,7 +10,7 @@ from torch.utils import _pytree as pytree
 from agents.batch import Batch, Critique, Normalised, Sequences, Side, rows, rows_of, sides
 from agents.graphs import Run
 from agents.networks import Critic
-from agents.optimise import Tally, adam, fused, minibatches, networks, parts, slope, step
+from agents.optimise import Adam, Tally, fused, minibatches, networks, parts, step
 from agents.parallel import ALONE, Together
 from agents.returns import ValueNorm, advantages
 from agents.settings import HappoConfig
@@ -30,7 +30,7 @@ class CriticLearner:
         device = network.value.bias.device
         self.value_norm = ValueNorm().to(device)
         self.rate = torch.tensor(config.critic_lr, device=device)  # what Adam steps by
-        self.optimizer = adam(network, self.rate)
+        self.optimizer = Adam(network, self.rate)
         self.tally = Tally(("value_loss", "critic_grad_norm"), device)
         self.fit = Tally(("explained_variance",), device)
         self.value_loss = fused(value_loss, config.compiled)
@@ -108,7 +108,7 @@ class CriticLearner:
         held = critique.seen, critique.predictions, critique.returns, critique.valid
         for minibatch in minibatches(held, order, c.minibatches):
             loss, taught = self.loss(*minibatch)
-            *gradient, loss = self.together.sum(*slope(self.network, loss), loss.detach())
+            *gradient, loss = self.together.sum(*self.optimizer.slope(loss), loss.detach())
             self.step(gradient, taught, loss)
 
     def _loss(self, seen: Normalised | Sequences, old: Tensor, R: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
@@ -120,7 +120,7 @@ class CriticLearner:
 
     def _step(self, gradient: Sequence[Tensor], taught: Tensor, loss: Tensor) -> None:
         """A step of Adam down the gradient, and the figures of the minibatch that it is from."""
-        norm = step(self.optimizer, self.network, gradient, self.config.max_grad_norm, taught)
+        norm = step(self.optimizer, gradient, self.config.max_grad_norm, taught)
         self.tally.note(taught, value_loss=loss, critic_grad_norm=norm)
 
     @torch.no_grad()

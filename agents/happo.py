@@ -23,7 +23,7 @@ from agents.checkpoint import State
 from agents.critics import CriticLearner
 from agents.graphs import Graphs, Run
 from agents.networks import Actor, Critic
-from agents.optimise import Tally, fused, means, moments, orders, parts, products
+from agents.optimise import Tally, fused, means, orders, parts, products
 from agents.parallel import ALONE, Together
 from agents.settings import OBSERVATION_CLIP, HappoConfig
 from agents.trust_region import TrustRegionLearner
@@ -346,7 +346,8 @@ class Learner:
             tensors |= {f"{name}.{k}": v for k, v in critic.value_norm.state_dict().items()}
         for (name, learner), count in zip(named.items(), self.observed, strict=True):
             tensors[f"{name}.observed"] = count
-            tensors |= moments(f"adam.{name}", learner.network, learner.optimizer)
+            if learner.optimizer:
+                tensors |= {f"adam.{name}.{k}": v for k, v in learner.optimizer.tensors().items()}
             if isinstance(learner, ActorLearner) and self.config.kl_step is not None:
                 tensors[f"adam.{name}.lr"] = learner.lr
         if self.config.decay_steps:

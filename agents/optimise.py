@@ -3,7 +3,6 @@
 Only `means` asks the device for numbers: all that comes before it can be replayed as CUDA graphs (`agents/graphs.py`).
 """
 
-import inspect
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -25,49 +24,41 @@ BETAS, EPSILON = (0.9, 0.999), 1e-5
 MOST_COMPILED = 256  # networks for which one process compiles a function; torch's own limit of 8 is two teams of four
 
 
-class Adam(torch.optim.Adam):
-    """Torch's, which leaves parameters, moments and step counts as they are where `found_inf` is 1, as its grad scaler
-    uses it.
+class Adam:
+    """Adam (Kingma and Ba, 2015) for a network, by torch's kernel for all its parameters at once.
 
-    Without what torch wraps these two in: that tells torch.compile to leave them alone, and to do so it imports all of
-    torch.compile, which takes a training process 1 to 3 s of its start.
+    `lr` () is read at each step; it lies, like the moments, on the device of the parameters. Without torch.optim, which
+    looks all tensors up anew at each step, a seventh of a small network's update on a CPU, and to tell torch.compile
+    to leave it alone imports all of that, 1 to 3 s of a training process's start.
     """
 
-    add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
-    step = torch.no_grad()(inspect.unwrap(torch.optim.Adam.step))
+    def __init__(self, network: nn.Module, lr: Tensor):
+        self.lr, self.names = lr, [name for name, _ in network.named_parameters()]
+        self.parameters: list[Tensor] = list(network.parameters())
+        self.steps = [torch.zeros((), device=lr.device) for _ in self.parameters]
+        self.first, self.second = ([torch.zeros_like(p) for p in self.parameters] for _ in range(2))  # moments
 
-    found_inf: Tensor | None = None  # () float
+    def slope(self, loss: Tensor) -> Sequence[Tensor]:
+        """The gradient of a loss, parameter by parameter."""
+        return torch.autograd.grad(loss, self.parameters)
 
+    @torch.no_grad()
+    def step(self, gradient: Sequence[Tensor], taught: Tensor) -> None:
+        """Step down a gradient, if `taught` () is 1 and not 0; else all stays as it is, whatever the gradient holds."""
+        undone = 1 - taught
+        torch._foreach_add_(self.steps, 1)  # pyright: ignore[reportPrivateImportUsage]
+        torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]
+            self.parameters, list(gradient), self.first, self.second, [], self.steps, lr=self.lr, beta1=BETAS[0],
+            beta2=BETAS[1], weight_decay=0.0, eps=EPSILON, amsgrad=False, maximize=False, found_inf=undone,
+        )  # fmt: skip
+        torch._foreach_sub_(self.steps, [undone] * len(self.steps))  # pyright: ignore[reportPrivateImportUsage]
 
-def adam(module: nn.Module, lr: Tensor) -> Adam:
-    """Adam with its moments made at once, where it would make them at its first step: a fresh state is complete too.
-
-    `lr` () is read at each step; it lies, like the moments, on the device of the parameters.
-    """
-    parameters = list(module.parameters())
-    optimizer = Adam(parameters, lr=lr, betas=BETAS, eps=EPSILON, fused=True, capturable=lr.is_cuda)
-    for parameter in parameters:
-        optimizer.state[parameter] = {
-            "step": torch.zeros((), device=lr.device),
-            "exp_avg": torch.zeros_like(parameter),
-            "exp_avg_sq": torch.zeros_like(parameter),
-        }
-    return optimizer
-
-
-def moments(name: str, module: nn.Module, optimizer: torch.optim.Adam | None) -> dict[str, Tensor]:
-    """Adam's state as named tensors; none without one."""
-    found = {}
-    if optimizer is None:
+    def tensors(self) -> dict[str, Tensor]:
+        """Its state by the names of parameters, complete before its first step too."""
+        found = {}
+        for name, *each in zip(self.names, self.steps, self.first, self.second, strict=True):
+            found |= {f"{name}.{kind}": x for kind, x in zip(("step", "exp_avg", "exp_avg_sq"), each, strict=True)}
         return found
-    for parameter_name, parameter in module.named_parameters():
-        found |= {f"{name}.{parameter_name}.{k}": v for k, v in optimizer.state[parameter].items()}
-    return found
-
-
-def slope(module: nn.Module, loss: Tensor) -> Sequence[Tensor]:
-    """The gradient of a loss, parameter by parameter."""
-    return torch.autograd.grad(loss, list(module.parameters()))
 
 
 def fused(function: Callable[P, T], on: bool) -> Callable[P, T]:
@@ -82,48 +73,39 @@ def fused(function: Callable[P, T], on: bool) -> Callable[P, T]:
     return torch.compile(function, fullgraph=True, dynamic=False)
 
 
-def step(
-    optimizer: Adam, module: nn.Module, gradient: Sequence[Tensor], max_grad_norm: float, taught: Tensor
-) -> Tensor:
+def step(optimizer: Adam, gradient: Sequence[Tensor], max_grad_norm: float, taught: Tensor) -> Tensor:
     """One step of Adam, if `taught` () is 1 and not 0; returns the norm of the gradient before it was scaled down.
 
     Where it is compiled it is written out, for torch's own kernels cannot be fused with what stands around them.
     """
-    parameters = list(module.parameters())
     if torch.compiler.is_compiling():
-        return _written_out(optimizer, parameters, gradient, max_grad_norm, taught > 0)
-    for parameter, own in zip(parameters, gradient, strict=True):
-        parameter.grad = own
-    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
-    optimizer.found_inf = 1 - taught
-    optimizer.step()
+        return _written_out(optimizer, gradient, max_grad_norm, taught > 0)
+    norm = nn.utils.get_total_norm(gradient)
+    scale = (max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
+    optimizer.step(torch._foreach_mul(list(gradient), scale), taught)  # pyright: ignore[reportPrivateImportUsage]
     return norm
 
 
 @torch.no_grad()
-def _written_out(
-    optimizer: Adam, parameters: Sequence[Tensor], gradient: Sequence[Tensor], max_grad_norm: float, on: Tensor
-) -> Tensor:
+def _written_out(optimizer: Adam, gradient: Sequence[Tensor], max_grad_norm: float, on: Tensor) -> Tensor:
     """`step` where it is `on` () bool; else all is kept, whatever the gradient holds.
 
     What torch._foreach does to a list is one kernel for all of it, into which the rest is fused; a loop's is one each.
     No list may hold two tensors of one parameter: the compiler takes a list's tensors for independent of each other,
     and on a GPU a parameter was moved by what another block of the same kernel had yet to write (torch 2.11).
     """
-    lr, (beta1, beta2) = optimizer.param_groups[0]["lr"], BETAS
+    lr, (beta1, beta2) = optimizer.lr, BETAS
     norm = torch.cat([g.flatten() for g in gradient]).norm()
     scale = (max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
     scaled = torch._foreach_mul(list(gradient), scale)  # pyright: ignore[reportPrivateImportUsage]
-    old, new = [], []
-    for theta, g in zip(parameters, scaled, strict=True):
-        t, m, v = (optimizer.state[theta][name] for name in ("step", "exp_avg", "exp_avg_sq"))
-        old.append((theta, t, m, v))
+    old, new = (optimizer.parameters, optimizer.steps, optimizer.first, optimizer.second), []
+    for theta, t, m, v, g in zip(*old, scaled, strict=True):
         t, m, v = t + 1, m.lerp(g, 1 - beta1), v.lerp(g**2, 1 - beta2)
         bias1, bias2 = (-torch.expm1(t * math.log(beta)) for beta in BETAS)  # 1 − βᵗ, with all its digits
         new.append((theta - lr * (m / bias1) / (torch.sqrt(v / bias2) + EPSILON), t, m, v))
-    for before, after in zip(zip(*old, strict=True), zip(*new, strict=True), strict=True):
+    for before, after in zip(old, zip(*new, strict=True), strict=True):
         kept = [torch.where(on, b, a) for a, b in zip(before, after, strict=True)]
-        torch._foreach_copy_(list(before), kept)  # pyright: ignore[reportPrivateImportUsage]
+        torch._foreach_copy_(before, kept)  # pyright: ignore[reportPrivateImportUsage]
     return norm
 
 

@@ -66,11 +66,11 @@ def test_learning_starts_without_torch_compile():
     text = """
         import sys, torch
         from torch import nn
-        from agents.optimise import adam, step
+        from agents.optimise import Adam, step
         layer = nn.Linear(2, 2)
         before = layer.weight.detach().clone()
         gradient = [torch.ones_like(p) for p in layer.parameters()]
-        step(adam(layer, torch.tensor(0.1)), layer, gradient, 1.0, torch.tensor(1.0))
+        step(Adam(layer, torch.tensor(0.1)), gradient, 1.0, torch.tensor(1.0))
         print(float((layer.weight - before).abs().max()), "torch._dynamo" in sys.modules)
     """
     moved, loaded = run(sys.executable, "-c", dedent(text)).split()

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.happo import Learner
-from agents.optimise import adam, fused, moments, step
+from agents.optimise import Adam, fused, step
 from agents.parallel import ALONE, Together
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
@@ -90,8 +90,9 @@ def test_a_minibatch_in_which_nothing_counts_changes_nothing(experience, eager):
 def test_no_list_of_a_step_holds_two_tensors_of_one_parameter(monkeypatch):
     """On a GPU one kernel is made of a list, whose parts run in any order; a CPU shows nothing of it."""
     layer = nn.Linear(5, 3)
-    optimizer = adam(layer, torch.tensor(0.01))
-    of = {id(x): k for k, p in enumerate(layer.parameters()) for x in (p, *optimizer.state[p].values())}
+    optimizer = Adam(layer, torch.tensor(0.01))
+    each = optimizer.parameters, optimizer.steps, optimizer.first, optimizer.second
+    of = {id(x): k for tensors in each for k, x in enumerate(tensors)}
     written, copy = [], torch._foreach_copy_
 
     def looking(to: list[Tensor], source: list[Tensor]) -> None:
@@ -100,7 +101,7 @@ def test_no_list_of_a_step_holds_two_tensors_of_one_parameter(monkeypatch):
 
     monkeypatch.setattr(torch, "_foreach_copy_", looking)
     monkeypatch.setattr(torch.compiler, "is_compiling", lambda: True)  # so that it is written out
-    step(optimizer, layer, [torch.ones_like(p) for p in layer.parameters()], 0.5, torch.tensor(1.0))
+    step(optimizer, [torch.ones_like(p) for p in layer.parameters()], 0.5, torch.tensor(1.0))
     assert written == [[0, 1]] * 4
 
 
@@ -109,18 +110,18 @@ def test_a_compiled_step_is_a_step(device: str):
     """Of gradients that are scaled down and that are not, that are not taught and that are broken."""
     layers = [nn.Linear(5, 3).to(device) for _ in range(2)]
     layers[0].load_state_dict(layers[1].state_dict())
-    optimizers = [adam(layer, torch.tensor(0.01, device=device)) for layer in layers]
+    optimizers = [Adam(layer, torch.tensor(0.01, device=device)) for layer in layers]
     rng = torch.Generator().manual_seed(5)
     for size, taught in ((1e3, 1.0), (1e-2, 1.0), (math.nan, 0.0), (math.inf, 0.0), (1.0, 1.0), (math.nan, 1.0)):
         kept = [p.detach().clone() for p in layers[0].parameters()]
         gradient = [size * torch.randn(p.shape, generator=rng).to(device) for p in kept]
         norms = [
-            take(optimizer, layer, [g.clone() for g in gradient], 0.5, torch.tensor(taught, device=device))
-            for take, optimizer, layer in zip((fused(step, True), step), optimizers, layers, strict=True)
+            take(optimizer, [g.clone() for g in gradient], 0.5, torch.tensor(taught, device=device))
+            for take, optimizer in zip((fused(step, True), step), optimizers, strict=True)
         ]
         torch.testing.assert_close(*norms, equal_nan=True)
         one, other = (
-            {**layer.state_dict(), **moments("adam", layer, optimizer)}
+            {**layer.state_dict(), **{f"adam.{k}": v for k, v in optimizer.tensors().items()}}
             for layer, optimizer in zip(layers, optimizers, strict=True)
         )
         torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7, equal_nan=True)

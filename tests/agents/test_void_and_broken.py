@@ -163,6 +163,6 @@ def test_losses_and_gradients_that_overflow_are_named(experience):
 def test_weights_that_overflow_are_noticed_in_the_update_that_made_them_so(experience):
     learner = new_learner(2, replace(PLAIN, critic_lr=1e30, epochs=1))
     (critic,) = learner.critic_learners
-    critic.optimizer.state[critic.network.value.bias]["exp_avg"].fill_(1e15)
+    critic.optimizer.tensors()["value.bias.exp_avg"].fill_(1e15)
     with pytest.raises(Diverged, match=r"not finite: critic\.value\.bias$"):
         learner.update(experience(learner, seed=4))
