@@ -77,6 +77,16 @@ def test_a_drone_is_hit_when_the_ray_passes_near(pairs, drone, hit):
     assert verdict.events["capture"].tolist() == [hit, False]
 
 
+@pytest.mark.parametrize(("beyond", "hit"), [(0.85, True), (0.87, False)])
+def test_a_barrel_that_is_held_up_covers_its_own_goal(pairs, beyond, hit):
+    """Who is within 0.5 m of the goal has come 0.86 m through the ray: unseen only at 43 m/s, in one control step."""
+    up = 1.5  # rad, as far as it goes
+    away = np.array([-math.sin(up), 0.0, math.cos(up)])  # from the ray, to where the goal reaches farthest
+    drone = (0.5 + beyond) * away + [0.0, 0.0, 2.05]
+    physics = put(pairs, [tuple(drone), (-9.0, 4.0, 3.0)], ((0.0, 0.0), (0.0, -4.0)), ((up, 0.0), AWAY))
+    assert judged(pairs, physics, game([(0.0, 0.0, 2.05), FAR]))[0].alive.tolist() == [not hit, True]
+
+
 def test_any_tank_hits_any_drone(pairs):
     physics = put(pairs, [(-5.0, 0.0, 3.0), (6.0, 3.0, 1.0)], ((0.0, -3.0), (0.0, 3.0)), ((0.0, 0.0), (0.0, 0.0)))
     assert judged(pairs, physics, game([FAR, FAR]))[0].alive.tolist() == [True, False]
