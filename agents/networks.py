@@ -69,13 +69,16 @@ class Trunk(nn.Module):
 
         W (x − m) / σ + b = W' (x − m') / σ' + b' where W' = W σ' / σ and b' = b + W (m' − m) / σ: before a network what
         PopArt (van Hasselt et al., 2016) does behind it. Else each batch would move the policy, and much so where it
-        goes on in another arena. Behind a LayerNorm of the input no weights make up for it; nor where it is clipped.
+        goes on in another arena. Behind a LayerNorm of the input no weights make up for it; nor where it is clipped,
+        as what has hardly moved is as soon as it does: weights that meant next to nothing would mean a hundred times
+        as much then, so these stay.
         """
         if not self.norm:
             layer, before, now = self.hidden[0], self._deviation(self.observation_var), self._deviation(var)
             assert isinstance(layer, nn.Linear)
-            layer.bias.add_(layer.weight @ ((mean - self.observation_mean) / before).masked_fill(~known, 0.0))
-            layer.weight.mul_((now / before).masked_fill(~known, 1.0))
+            new = ~known | (self.observation_var < VARIANCE_FLOOR)
+            layer.bias.add_(layer.weight @ ((mean - self.observation_mean) / before).masked_fill(new, 0.0))
+            layer.weight.mul_((now / before).masked_fill(new, 1.0))
         self.observation_mean.copy_(mean)
         self.observation_var.copy_(var)
 

@@ -148,6 +148,20 @@ def test_what_actors_and_critics_say_stays_as_their_statistics_move(experience):
         torch.testing.assert_close(now, was, atol=1e-5, rtol=1e-5)
 
 
+def test_what_stood_still_and_moves_has_the_weights_that_it_had(experience):
+    """Its deviation becomes a hundred times what it was; were its weights to follow, they would drown all others."""
+    learner = new_learner(2, replace(FULL, lr=0.0, critic_lr=0.0))
+    still, moving = (experience(learner, seed=s) for s in (5, 6))
+    still.observations[0][..., 1] = 2.0
+    learner.update(still)
+    weights = learner.actors[0].trunk.hidden[0].weight
+    before = weights.detach().clone()
+    learner.update(moving)
+    assert learner.actors[0].trunk.observation_var[1] > 0.1
+    torch.testing.assert_close(weights[:, 1], before[:, 1], atol=0, rtol=0)
+    assert (weights[:, 0] / before[:, 0] - 1).abs().max() > 1e-3  # while those of what moved follow
+
+
 @pytest.mark.parametrize("method", ["happo", "ippo"])
 def test_values_are_those_that_advantages_are_taken_from_in_units_of_reward(experience, same, method):
     learner = new_learner(2, replace(FULL, method=method, gamma=0.0))
