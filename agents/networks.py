@@ -159,8 +159,8 @@ class Gaussian(Normal):
     """Torch's, with fewer kernels in its density and the gradient of it."""
 
     def __init__(self, mean: Tensor, std: Tensor):
-        super().__init__(mean, std.expand_as(mean), validate_args=False)
-        self._log_std = std.log().expand_as(mean)  # of a deviation that is the same everywhere one logarithm
+        super().__init__(mean, std, validate_args=False)
+        self._log_std = self.scale.log()
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log N(a; μ, σ) = −z² / 2 − log σ − log(2π) / 2, where z = (a − μ) / σ."""
@@ -211,7 +211,7 @@ class Actor(Network):
         mean = self.mean(features).to(self.dtype)
         logit = self.deviation(features).to(self.dtype) if self._state_std else self.std_logit
         std = torch.sigmoid(logit) * self.std_scale
-        return Gaussian(mean, std)
+        return Gaussian(mean, std.expand_as(mean))
 
     def forward(self, observations: Tensor | Normalised | Sequences) -> "Gaussian | Squashed":
         """The distribution of actions (..., action_size) given observations (..., observation_size)."""
