@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss  # e²/2 inside δ, δ(|e| − δ/2) outside
-from torch.utils import _pytree as pytree
 
 from agents.batch import Batch, Critique, Normalised, Sequences, Side, rows, rows_of, sides
 from agents.graphs import Run
@@ -45,7 +44,10 @@ class CriticLearner:
         own, *more = (self._of_side(batch, side) for side in self._sides(batch))
         if not more:
             return own  # the only one that may remember anything
-        return pytree.tree_map(lambda *each: torch.cat(each), own, *more)._replace(advantages=own.advantages)
+        # Taken apart by hand, as torch 2.11 cannot compile pytree's walk.
+        seen, *figures, _ = zip(own, *more, strict=True)
+        old, values, _, R, valid = map(torch.cat, figures)
+        return Critique(Normalised(torch.cat([each.numbers for each in seen])), old, values, own.advantages, R, valid)
 
     def _sides(self, batch: Batch) -> Sequence[Side]:
         return sides(batch, self.agents, self.config.critic_input == "all")
