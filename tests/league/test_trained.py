@@ -17,10 +17,14 @@ MET = {
     "anymal-score": (None, 0.08), "leatherback-score": (None, 0.4),
     "anymal-ball": (None, 0.9), "minitank-aim": (None, 0.9), "crazyflie-fly": (None, 0.9),
     "minitank-galaga": ("dodger:red", 0.9), "crazyflie-galaga": ("random:blue", 0.85),
+    "minitanks-galaga": ("dodger:red", 0.8), "crazyflies-galaga": ("random:blue", 0.8),
 }  # fmt: skip
 """Against whom, and at least which score."""
 SIGHT = {name: {"rich": True, "buffer": 8} for name in ("minitank-galaga", "crazyflie-galaga")}
+SIGHT |= {name: {"rich": True, "buffer": 14} for name in ("minitanks-galaga", "crazyflies-galaga")}
 """Settings of the arena without which they do not fit."""
+RULES = {name: {"ray": 0.5} for name in ("minitanks-galaga", "crazyflies-galaga")}
+"""Those of the game that they learnt."""
 
 
 def test_each_is_tried():
@@ -33,7 +37,8 @@ def test_it_plays_as_it_learnt(name, tmp_path):
     opponent, asked = MET[name]
     about = exchange.read(exchange.find(name)).about
     config = configuration.default(about["arena"]["arena"])
-    config = replace(config, arena=replace(config.arena, **SIGHT.get(name, {})))
+    rules = replace(config.arena.rules, **RULES.get(name, {}))
+    config = replace(config, arena=replace(config.arena, rules=rules, **SIGHT.get(name, {})))
     config = replace(config, rating=replace(config.rating, worlds=128, pairings=1, record=False))
     arena = config.arena.build(engine="c", worlds=128)
     with Store.open(tmp_path, create=True) as store:
