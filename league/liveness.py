@@ -3,6 +3,8 @@
 import os
 import re
 import socket
+from contextlib import suppress
+from pathlib import Path
 
 from storage.records import Worker
 from storage.store import Store
@@ -12,13 +14,16 @@ STARTING = 300.0  # the same for one of this host that exists: compiling may kee
 
 
 def exists(pid: int) -> bool:
-    """Whether a process of that number is alive on this host."""
+    """Whether a process of that number is alive on this host; one that has ended and was not yet waited for is not."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
     except PermissionError:
         return True
+    with suppress(OSError, IndexError):  # a system without /proc, or it has gone meanwhile
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]  # a name may hold anything
+        return state not in ("Z", "X")
     return True
 
 
