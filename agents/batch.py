@@ -1,4 +1,4 @@
-"""What a learner learns from: a team's experience, and what of it an actor and a critic look at."""
+"""Training data of a learner: a team's experience, and the parts of it that an actor and a critic learn from."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,157 +7,162 @@ import torch
 from torch import Tensor
 
 
-class Side(NamedTuple):
-    """What a critic that sees more than observations learns from: how the game went for one team."""
+class CriticView(NamedTuple):
+    """Experience of one team as a critic sees it, where its input is more than its own team's observations."""
 
-    seen: Tensor  # (T, N, all that it sees) with zeros where that means nothing
-    next_seen: Tensor  # (T, N, all that it sees)
+    seen: Tensor  # (T, N, inputs), zeros where they mean nothing
+    next_seen: Tensor  # (T, N, inputs)
     rewards: Tensor  # (T, N)
     terminated: Tensor  # (T, N) bool
     void: Tensor  # (T, N) bool
 
 
 class Batch(NamedTuple):
-    """A team's experience of T decisions in N worlds, one entry per agent in the sequences."""
+    """Experience of a team over T decisions in N worlds. Sequences hold one entry per agent."""
 
     observations: Sequence[Tensor]  # (T, N, obs)
     next_observations: Sequence[Tensor]  # (T, N, obs)
     actions: Sequence[Tensor]  # (T, N, act)
     log_probs: Sequence[Tensor]  # (T, N)
     alive: Sequence[Tensor]  # (T, N) bool: the agent took part in this decision
-    next_alive: Sequence[Tensor]  # (T, N) bool: and in the state that followed
+    next_alive: Sequence[Tensor]  # (T, N) bool: the same in the state that followed
     rewards: Tensor  # (T, N)
     terminated: Tensor  # (T, N) bool
     truncated: Tensor  # (T, N) bool
-    void: Tensor  # (T, N) bool: what this decision led to is unknown
-    # The same of the other teams' agents, where a critic sees them too:
+    void: Tensor  # (T, N) bool: the result of this decision is unknown
+    # The same for the other teams' agents, where the critic observes them:
     others: Sequence[Tensor] = ()  # (T, N, obs)
     next_others: Sequence[Tensor] = ()  # (T, N, obs)
     others_alive: Sequence[Tensor] = ()  # (T, N) bool
     next_others_alive: Sequence[Tensor] = ()  # (T, N) bool
-    # Where the critic sees something else than observations: the game as it went for the team, then for other teams.
-    sides: Sequence[Side] = ()
-    # Where networks are recurrent:
-    first: Sequence[Tensor] = ()  # one, (T, N) bool: with this decision an episode began
-    memories: Sequence[Tensor] = ()  # (T / chunk, N, units or more) of each agent's actor, before each chunk
-    recalled: Sequence[Tensor] = ()  # (N, units) of each critic, before the first decision; none: of fresh worlds
+    # For critics whose input is not observations: the view of the own team, then those of other teams.
+    critic_views: Sequence[CriticView] = ()
+    # For recurrent networks:
+    first: Sequence[Tensor] = ()  # one tensor, (T, N) bool: an episode began with this decision
+    memories: Sequence[Tensor] = ()  # (T / chunk, N, units or more) hidden state of each actor before each chunk
+    critic_memories: Sequence[Tensor] = ()  # (N, units) hidden state of each critic at first; empty: new worlds
 
 
 class Normalised(NamedTuple):
-    """Observations as a network first makes them: once for all passes over a batch, in which its statistics rest."""
+    """Normalised observations, computed once for all passes over a batch, during which the statistics stay fixed."""
 
-    numbers: Tensor  # (..., obs)
+    values: Tensor  # (..., obs)
 
 
 class Sequences(NamedTuple):
-    """What a recurrent network sees: B sequences of L observations, and what of the past matters to them."""
+    """Input of a recurrent network: B sequences of L observations, and the hidden state before them."""
 
     observations: Tensor | Normalised  # (B, L, obs)
-    first: Tensor  # (B, L) bool: with it an episode begins
-    memory: Tensor  # (B, units) that the network remembered before the sequence
+    first: Tensor  # (B, L) bool: an episode begins here
+    memory: Tensor  # (B, units) hidden state before the sequence
 
 
-# Rows, of which minibatches are made: B = T·N decisions, or where networks are recurrent B = T / chunk · N chunks of so
-# many consecutive decisions, whose figures are (B, chunk).
+# Minibatches are made of rows. B = T·N decisions, or for recurrent networks B = T / chunk · N chunks of consecutive
+# decisions, whose values are (B, chunk).
 
 
-class Share(NamedTuple):
-    """What an actor learns from: B rows of each of its agents, with zeros where `valid` says no."""
+class ActorBatch(NamedTuple):
+    """Training data of an actor: B rows of each of its agents, with zeros where `valid` is False."""
 
     observations: Normalised | Sequences  # (B, obs)
     actions: Tensor  # (B, act)
-    log_probs: Tensor  # (B,) of the policy that acted
+    log_probs: Tensor  # (B,) under the policy that acted
     MA: Tensor  # (B,) M·Â
-    valid: Tensor  # (B,) bool: the agent took part, and what came of it is known
+    valid: Tensor  # (B,) bool: the agent took part and the result is known
 
 
-class Critique(NamedTuple):
-    """What a critic makes of the B rows of a batch, as often as it has sides; the team's own come first."""
+class CriticBatch(NamedTuple):
+    """Training data of a critic: B rows of a batch for each of its views, the own team's first."""
 
-    seen: Normalised | Sequences  # (B, all that it sees)
-    predictions: Tensor  # (B,) in normalised units, as all that the critic says
-    values: Tensor  # (B,) the same in units of reward
-    advantages: Tensor  # (T·N,) of the team itself
+    seen: Normalised | Sequences  # (B, inputs)
+    predictions: Tensor  # (B,) in normalised units, as the network outputs them
+    values: Tensor  # (B,) predictions in units of reward
+    advantages: Tensor  # (T·N,) of the own team
     returns: Tensor  # (B,)
     valid: Tensor  # (B,) bool: not void
-    last: Sequence[Tensor] = ()  # one where it is recurrent, (N, units): what it remembers after the last decision
+    last: Sequence[Tensor] = ()  # one tensor if recurrent, (N, units): hidden state after the last decision
 
 
-def held(values: Sequence[Tensor], there: Sequence[Tensor]) -> list[Tensor]:
-    """Values of agents (T, N, ...), with zeros where an agent is not `there` (T, N)."""
-    return [x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0) for x, a in zip(values, there, strict=True)]
+def zero_absent(values: Sequence[Tensor], present: Sequence[Tensor]) -> list[Tensor]:
+    """Return values of agents (T, N, ...) with zeros where an agent is not `present` (T, N)."""
+    return [
+        x.masked_fill(~(a[..., None] if x.dim() > a.dim() else a), 0.0) for x, a in zip(values, present, strict=True)
+    ]
 
 
 def clean(batch: Batch) -> Batch:
-    """The batch with zeros for what void decisions hold, and agents that were out of the game.
+    """Return the batch with zeros in void decisions and for agents that were out of the game.
 
-    So no number that means nothing enters any arithmetic: 0 times NaN is NaN, and so is its gradient. Who took part in
-    a decision that is void counts as out of it.
+    Thus no meaningless number enters any arithmetic: 0 times NaN is NaN, and so is its gradient. In a void decision all
+    agents count as out of the game.
     """
     valid = ~batch.void
-    there, there_next, others, others_next = (
+    present, next_present, others, others_next = (
         [a & valid for a in alive]
         for alive in (batch.alive, batch.next_alive, batch.others_alive, batch.next_others_alive)
     )
     return Batch(
-        held(batch.observations, there),
-        held(batch.next_observations, there_next),
-        held(batch.actions, there),
-        held(batch.log_probs, there),
-        there,
-        there_next,
+        zero_absent(batch.observations, present),
+        zero_absent(batch.next_observations, next_present),
+        zero_absent(batch.actions, present),
+        zero_absent(batch.log_probs, present),
+        present,
+        next_present,
         batch.rewards.masked_fill(batch.void, 0.0),
         batch.terminated,
         batch.truncated,
         batch.void,
-        held(batch.others, others),
-        held(batch.next_others, others_next),
+        zero_absent(batch.others, others),
+        zero_absent(batch.next_others, others_next),
         others,
         others_next,
-        [_clean_side(side) for side in batch.sides],
+        [_clean_view(side) for side in batch.critic_views],
         batch.first,
         batch.memories,
-        batch.recalled,
+        batch.critic_memories,
     )
 
 
-def _clean_side(side: Side) -> Side:
-    def held(x: Tensor) -> Tensor:
+def _clean_view(side: CriticView) -> CriticView:
+    def zero_absent(x: Tensor) -> Tensor:
         return x.masked_fill(side.void[..., None] if x.dim() > side.void.dim() else side.void, 0.0)
 
-    return side._replace(seen=held(side.seen), next_seen=held(side.next_seen), rewards=held(side.rewards))
+    return side._replace(
+        seen=zero_absent(side.seen), next_seen=zero_absent(side.next_seen), rewards=zero_absent(side.rewards)
+    )
 
 
 def rows(values: Tensor, chunk: int | None) -> Tensor:
-    """What decisions hold, (T, N, ...), as rows: (T·N, ...), or in chunks (T / chunk · N, chunk, ...)."""
+    """Return values of decisions (T, N, ...) as rows: (T·N, ...), or as chunks (T / chunk · N, chunk, ...)."""
     if chunk is None:
         return values.flatten(0, 1)
     return values.unflatten(0, (-1, chunk)).transpose(1, 2).flatten(0, 1)
 
 
-def rows_of(batch: Batch, chunk: int | None) -> int:
-    """How many rows `rows` makes of what each decision of a batch holds."""
+def num_rows(batch: Batch, chunk: int | None) -> int:
+    """Return the number of rows that `rows` makes of each tensor of a batch."""
     return batch.void.numel() // (chunk or 1)
 
 
-def sides(batch: Batch, agents: Sequence[int], everybody: bool) -> Sequence[Side]:
-    """What a critic of these agents learns from in a clean batch: the team's own side first.
+def critic_views(batch: Batch, agents: Sequence[int], all_teams: bool) -> Sequence[CriticView]:
+    """Return the views of a clean batch that a critic of these agents learns from, the own team's first.
 
-    `everybody`: where the batch names no sides, it sees the other teams' agents after its own.
+    `all_teams`: where the batch has no views of its own, the other teams' agents follow the critic's.
     """
-    if batch.sides:
-        return batch.sides
-    return [Side(*views(batch, agents, everybody), batch.rewards, batch.terminated, batch.void)]
+    if batch.critic_views:
+        return batch.critic_views
+    return [CriticView(*critic_inputs(batch, agents, all_teams), batch.rewards, batch.terminated, batch.void)]
 
 
-def views(batch: Batch, agents: Sequence[int], everybody: bool) -> tuple[Tensor, Tensor]:
-    """What a critic of these agents sees before and after each decision of a clean batch, (T, N, all that it sees).
+def critic_inputs(batch: Batch, agents: Sequence[int], all_teams: bool) -> tuple[Tensor, Tensor]:
+    """Return the inputs of a critic of these agents before and after each decision of a clean batch.
 
-    It sees zeros for who is out of the game. `everybody`: the other teams' agents come after its own.
+    Both are (T, N, inputs). Agents that are out of the game have zeros. `all_teams`: the other teams' agents follow the
+    critic's own.
     """
-    others, next_others = (batch.others, batch.next_others) if everybody else ((), ())
+    others, next_others = (batch.others, batch.next_others) if all_teams else ((), ())
     now, then = (
-        [*(seen[i] for i in agents), *rest]
-        for seen, rest in ((batch.observations, others), (batch.next_observations, next_others))
+        [*(seen[i] for i in agents), *more]
+        for seen, more in ((batch.observations, others), (batch.next_observations, next_others))
     )
     return torch.cat(now, -1), torch.cat(then, -1)

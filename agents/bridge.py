@@ -1,8 +1,9 @@
-"""The one place where jax and torch meet: arrays cross by dlpack, without a copy and without the host.
+"""The only place where JAX and torch meet: arrays cross by DLPack, without a copy and without the host.
 
-Two traps, both silent. A JAX buffer handed to torch is freed when the torch tensor dies, on JAX's stream, while torch
-kernels may still be queued: `to_torch` tensors must live until torch has finished, which `Learner.update` ensures by
-reading its losses back. And torch changes parameters in place, which JAX may not see happen: `to_jax` copies first.
+Two traps are silent. JAX frees a buffer, on its own stream, when the torch tensor made of it dies, while torch kernels
+that read it may still be queued: results of `to_torch` must live until torch has finished, which `Learner.update`
+ensures by reading its losses back. Torch changes parameters in place, which JAX may not notice: `to_jax` copies
+first.
 """
 
 import math
@@ -16,17 +17,17 @@ import torch
 from jax import Array
 from torch import Tensor
 
-from agents.batch import Batch, Side, held
-from agents.outcomes import of_worlds, watched
-from agents.policy import Params
-from agents.rollout import Seen, Trajectory
+from agents.batch import Batch, CriticView, zero_absent
+from agents.policy.jax_policy import Params
+from agents.rollout.rollout import CriticObservations, Trajectory
+from agents.rollout.team_view import select_agents, select_worlds
 from arenas.state import TeamSpec
 
-Recalled = Sequence[Tensor]  # (N, units) of each recurrent critic of a team: what it remembers of N worlds
+CriticMemories = Sequence[Tensor]  # (N, units) hidden state of each recurrent critic of a team in N worlds
 
 
 def to_torch(array: Array) -> Tensor:
-    """A torch view of a JAX array, on the same device."""
+    """Return a torch view of a JAX array, on the same device."""
     return torch.from_dlpack(array)
 
 
@@ -36,67 +37,90 @@ def team_batch(
     index: int,
     worlds: slice | np.ndarray,
     shaping: float,
-    blame: float = 1.0,
+    void_penalty: float = 1.0,
     others: Sequence[TeamSpec] = (),
     privileged: bool = False,
     common: Sequence[TeamSpec] = (),
-    recalled: Recalled = (),
+    critic_memories: CriticMemories = (),
 ) -> Batch:
-    """A team's part of a trajectory: `worlds` are those in which it acted with its present policy.
+    """Return a team's part of a trajectory.
 
-    What its critic sees beside, or instead of, the team's own observations: `others` are the teams whose observations
-    it sees too; `privileged`: behind its own it sees the whole state, which the trajectory then holds; `common` are all
-    teams, where it judges for all of them (`common_order`). `recalled` is what recurrent critics remember of all worlds
-    as the trajectory begins, nothing where that is not known.
-
-    The reward is the outcome plus `shaping` times the dense hints. Where the team's own robots made a world void, that
-    is the end of the game for it, at the price of `blame`: a team that is losing must not gain from breaking physics.
+    The reward is the outcome plus `shaping` times the dense reward. A world that the team's own robots made void counts
+    as terminated for the team, with the reward `-void_penalty`: a losing team must not gain from breaking the physics.
     For the other teams the decision stays void.
+
+    Args:
+        trajectory: of all teams.
+        team: the team that learns.
+        index: its number in the arena.
+        worlds: the worlds in which it acted with its current policy.
+        shaping: weight of the dense reward.
+        void_penalty: price of a world that its own robots made void.
+        others: teams whose observations its critic receives too.
+        privileged: append the full state to its observations for the critic; the trajectory must hold it.
+        common: all teams, for a critic that judges all of them (`common_critic_order`).
+        critic_memories: hidden states (all worlds, units) of recurrent critics before the trajectory; empty if unknown.
     """
     names = {agent.name for t in (team, *others, *common) for agent in t.agents}
-    trajectory = of_worlds(watched(trajectory, names, privileged), worlds)
+    trajectory = select_worlds(select_agents(trajectory, names, privileged), worlds)
 
-    def of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec] = (team,)) -> Sequence[Tensor]:
-        return [to_torch(values[agent.name]) for team in teams for agent in team.agents]
-
-    rewards, terminated, void = map(to_torch, _earned(watched(trajectory), index, shaping, blame))
-    sides = []
+    rewards, terminated, void = map(to_torch, _rewards(select_agents(trajectory), index, shaping, void_penalty))
+    critic_views = _common_views(trajectory, common, index, shaping, void_penalty)
     if privileged:
-        known = (trajectory.observations, trajectory.alive), (trajectory.next_observations, trajectory.next_alive)
-        seen, next_seen = (
-            torch.cat([*held(of_agents(own), of_agents(there)), to_torch(whole)], -1)
-            for (own, there), whole in zip(known, trajectory.whole, strict=True)
-        )
-        sides = [Side(seen, next_seen, rewards, terminated, void)]
-    for t in sorted(range(len(common)), key=lambda t: t != index):
-        seen = _seen_by_all(trajectory.observations, common, t)
-        next_seen = _seen_by_all(trajectory.next_observations, common, t)
-        sides.append(Side(seen, next_seen, *map(to_torch, _earned(watched(trajectory), t, shaping, blame))))
+        seen, next_seen = _privileged_inputs(trajectory, team)
+        critic_views = [CriticView(seen, next_seen, rewards, terminated, void)]
     return Batch(
-        of_agents(trajectory.observations),
-        of_agents(trajectory.next_observations),
-        of_agents(trajectory.actions),
-        of_agents(trajectory.log_probs),
-        of_agents(trajectory.alive),
-        of_agents(trajectory.next_alive),
+        _of_agents(trajectory.observations, [team]),
+        _of_agents(trajectory.next_observations, [team]),
+        _of_agents(trajectory.actions, [team]),
+        _of_agents(trajectory.log_probs, [team]),
+        _of_agents(trajectory.alive, [team]),
+        _of_agents(trajectory.next_alive, [team]),
         rewards,
         terminated,
         to_torch(trajectory.truncated),
         void,
-        of_agents(trajectory.observations, others),
-        of_agents(trajectory.next_observations, others),
-        of_agents(trajectory.alive, others),
-        of_agents(trajectory.next_alive, others),
-        sides,
-        *_past(trajectory, team),
-        [memory[worlds] for memory in recalled],
+        _of_agents(trajectory.observations, others),
+        _of_agents(trajectory.next_observations, others),
+        _of_agents(trajectory.alive, others),
+        _of_agents(trajectory.next_alive, others),
+        critic_views,
+        *_recurrent_inputs(trajectory, team),
+        [memory[worlds] for memory in critic_memories],
     )
 
 
-def unlearnt(seen: Seen, teams: Sequence[TeamSpec], recurrent: bool) -> Trajectory:
-    """What critics see of whole episodes, as a trajectory to judge and not to learn from: it says nothing of rewards.
+def _of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec]) -> Sequence[Tensor]:
+    """Return the values of all agents of these teams, in their order."""
+    return [to_torch(values[agent.name]) for team in teams for agent in team.agents]
 
-    With `recurrent` all that they remember begins with its first decision.
+
+def _privileged_inputs(trajectory: Trajectory, team: TeamSpec) -> Sequence[Tensor]:
+    """Return a team's observations and the full state, before and after each decision, (T, N, inputs) each."""
+    known = (trajectory.observations, trajectory.alive), (trajectory.next_observations, trajectory.next_alive)
+    return [
+        torch.cat([*zero_absent(_of_agents(own, [team]), _of_agents(alive, [team])), to_torch(whole)], -1)
+        for (own, alive), whole in zip(known, trajectory.whole, strict=True)
+    ]
+
+
+def _common_views(
+    trajectory: Trajectory, teams: Sequence[TeamSpec], index: int, shaping: float, void_penalty: float
+) -> list[CriticView]:
+    """Return the views of a critic common to all `teams`, that of team `index` first; none without teams."""
+    views = []
+    for t in sorted(range(len(teams)), key=lambda t: t != index):
+        seen = _common_critic_inputs(trajectory.observations, teams, t)
+        next_seen = _common_critic_inputs(trajectory.next_observations, teams, t)
+        rewards = map(to_torch, _rewards(select_agents(trajectory), t, shaping, void_penalty))
+        views.append(CriticView(seen, next_seen, *rewards))
+    return views
+
+
+def evaluation_trajectory(seen: CriticObservations, teams: Sequence[TeamSpec], recurrent: bool) -> Trajectory:
+    """Return the critics' observations of whole episodes as a trajectory for evaluation only: its rewards are zeros.
+
+    With `recurrent`, hidden states start at the first decision.
     """
     alive = next(iter(seen.alive.values()))
     T, N = alive.shape
@@ -111,34 +135,34 @@ def unlearnt(seen: Seen, teams: Sequence[TeamSpec], recurrent: bool) -> Trajecto
     )  # fmt: skip
 
 
-def _past(trajectory: Trajectory, team: TeamSpec) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
-    """A batch's `first` and `memories`: empty where the team's policies remember nothing."""
+def _recurrent_inputs(trajectory: Trajectory, team: TeamSpec) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+    """Return a batch's `first` and `memories`: empty if the team's policies are not recurrent."""
     kept = trajectory.memories or {}
     memories = [to_torch(kept[agent.name]) for agent in team.agents if agent.name in kept]
     return [to_torch(trajectory.age == 1)] if memories else (), memories
 
 
-def everywhere(remembered: Recalled, worlds: slice | np.ndarray, number: int) -> Recalled:
-    """What critics remember of some worlds as what they remember of all, of so many: nothing of the others."""
-    found = [memory.new_zeros(number, memory.shape[1]) for memory in remembered]
-    for whole, memory in zip(found, remembered, strict=True):
+def scatter_memories(final_memories: CriticMemories, worlds: slice | np.ndarray, number: int) -> CriticMemories:
+    """Return hidden states of some `worlds` as those of all `number` worlds, with zeros for the others."""
+    found = [memory.new_zeros(number, memory.shape[1]) for memory in final_memories]
+    for whole, memory in zip(found, final_memories, strict=True):
         whole[worlds] = memory
     return found
 
 
 @partial(jax.jit, static_argnums=1)
-def _earned(trajectory: Trajectory, index: int, shaping: float, blame: float) -> tuple[Array, Array, Array]:
-    """A team's rewards (T, N), and where its game ended or is void, (T, N) bool."""
-    own = trajectory.void & trajectory.culprits[..., index]
+def _rewards(trajectory: Trajectory, index: int, shaping: float, void_penalty: float) -> tuple[Array, Array, Array]:
+    """Return a team's rewards (T, N), and where its game terminated or is void, both (T, N) bool."""
+    own = trajectory.void & trajectory.at_fault[..., index]
     rewards = trajectory.reward[..., index] + shaping * trajectory.shaping[..., index]
-    return jnp.where(own, -blame, rewards), trajectory.terminated | own, trajectory.void & ~own
+    return jnp.where(own, -void_penalty, rewards), trajectory.terminated | own, trajectory.void & ~own
 
 
-def common_order(teams: Sequence[TeamSpec], index: int) -> list[int]:
-    """In which order a critic common to all teams sees them when it judges for one: numbers of teams.
+def common_critic_order(teams: Sequence[TeamSpec], index: int) -> list[int]:
+    """Return the order of teams in the input of a critic common to all teams when it judges team `index`.
 
-    That of the arena, but the team itself changes places with the first of its roster. So teams of one roster look
-    alike from either side, and in each place there stand always the same robots.
+    It is the arena's order, but the judged team swaps places with the first team of its roster. Thus teams of one
+    roster look alike from either side, and each place always holds the same robots.
     """
     order = list(range(len(teams)))
     first = next(i for i, team in enumerate(teams) if team.roster == teams[index].roster)
@@ -146,24 +170,27 @@ def common_order(teams: Sequence[TeamSpec], index: int) -> list[int]:
     return order
 
 
-def common_size(teams: Sequence[TeamSpec]) -> int:
-    """Numbers that a critic common to all teams sees: which team it judges for (one-hot), and all observations."""
+def common_critic_size(teams: Sequence[TeamSpec]) -> int:
+    """Return the input size of a critic common to all teams: one-hot of the judged team, and all observations."""
     return len(teams) + sum(agent.observation_size for team in teams for agent in team.agents)
 
 
-def _seen_by_all(observations: Mapping[str, Array], teams: Sequence[TeamSpec], index: int) -> Tensor:
-    """What a critic common to all teams sees when it judges for one of them, (T, N, common_size)."""
-    order = common_order(teams, index)
+def _common_critic_inputs(observations: Mapping[str, Array], teams: Sequence[TeamSpec], index: int) -> Tensor:
+    """Return the inputs (T, N, common_critic_size) of a critic common to all teams when it judges one of them."""
+    order = common_critic_order(teams, index)
     seen = [observations[agent.name] for t in order for agent in teams[t].agents]
     which = jnp.broadcast_to(jax.nn.one_hot(index, len(teams)), (*seen[0].shape[:2], len(teams)))
     return to_torch(jnp.concatenate([which, *seen], axis=-1))
 
 
 def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:
-    """Actors' state dicts as policies: all floats cross as one flat vector, for each crossing costs 0.1 ms."""
+    """Return actors' state dicts as JAX policies.
+
+    All floats cross as one flat vector, because each crossing costs 0.1 ms.
+    """
     floats = [t for p in policies for t in p.values() if t.is_floating_point()]
     flat = jax.dlpack.from_dlpack(torch.cat([t.flatten() for t in floats]))  # cat copies
-    arrays = iter(_apart(flat, tuple(tuple(t.shape) for t in floats)))
+    arrays = iter(_split(flat, tuple(tuple(t.shape) for t in floats)))
     return [
         {name: next(arrays) if t.is_floating_point() else jnp.asarray(t.cpu().numpy()) for name, t in policy.items()}
         for policy in policies
@@ -171,7 +198,7 @@ def to_jax(policies: Sequence[Mapping[str, Tensor]]) -> list[Params]:
 
 
 @partial(jax.jit, static_argnums=1)
-def _apart(flat: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
-    """Arrays of these shapes, which lie one after the other; in one program, for each by itself costs as much."""
+def _split(flat: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Cut a flat array into arrays of these shapes, in one program: one program for each would cost as much again."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     return [part.reshape(shape) for part, shape in zip(jnp.split(flat, ends[:-1]), shapes, strict=True)]

@@ -1,10 +1,10 @@
-"""Actor and critic in torch. `agents/policy.py` acts in JAX with the very names that their state dicts have.
+"""Actor and critic in torch. `agents/policy/jax_policy.py` acts in JAX with the names of their state dicts.
 
 Trunk and heads are HARL's (Zhong et al., 2024): optional LayerNorm on the input, then Linear → activation → optional
 LayerNorm for each hidden layer; orthogonal weights, zero biases, a small last layer. The standard deviation does not
 depend on the state: σ = sigmoid(λ / x) · y with λ = x at the start; HARL's x = 1, y = 0.5 give σ = 0.366. Here x = 1
-and y follows from the wanted first σ, so that σ stays within (0, y). Where it shall depend on the state, λ is a second
-last layer that begins at x.
+and y follows from the desired initial σ, so that σ stays within (0, y). With `state_std`, λ is the output of a second
+last layer whose biases start at x.
 """
 
 import math
@@ -17,23 +17,23 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 from agents.batch import Normalised, Sequences
+from agents.policy.tanh import tanh
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
-from agents.tanh import tanh
 
-_GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_gain; elu has none there
+_GAIN = {"tanh": 5 / 3, "relu": 2**0.5, "elu": 1.0}  # torch.nn.init.calculate_gain; it knows no elu
 _APPLY = {"tanh": tanh, "relu": torch.relu, "elu": nn.functional.elu}
 LAST_LAYER_GAIN = 0.01
-NODES = 16  # of the quadrature of a squashed policy's entropy
+QUADRATURE_NODES = 16  # for the entropy of a squashed policy
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
 NO_CLIP = torch.finfo(torch.float32).max
 
 
 class Trunk(nn.Module):
-    """From observations (..., n) to features (..., hidden[-1])."""
+    """Hidden layers, from observations (..., n) to features (..., hidden[-1])."""
 
     observation_mean: Tensor  # (n,)
     observation_var: Tensor  # (n,)
-    observation_clip: Tensor  # () what observations are held within once they are normalised
+    observation_clip: Tensor  # () clip limit of normalised observations
 
     def __init__(self, size: int, architecture: Architecture):
         super().__init__()
@@ -50,13 +50,13 @@ class Trunk(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def normalised(self, x: Tensor) -> Normalised:
-        """Observations by the statistics of all that were seen."""
+        """Normalise observations by the statistics of all observations so far, and clip them."""
         x = (x - self.observation_mean) / self._deviation(self.observation_var)
         return Normalised(x.clamp(-self.observation_clip, self.observation_clip))
 
     def forward(self, x: Tensor | Normalised) -> Tensor:
-        """Features of observations."""
-        seen = (x if isinstance(x, Normalised) else self.normalised(x)).numbers
+        """Return features of observations."""
+        seen = (x if isinstance(x, Normalised) else self.normalised(x)).values
         features: Tensor = self.norm[0](seen) if self.norm else seen
         for i, layer in enumerate(self.hidden):
             features = self._apply_activation(layer(features))
@@ -65,13 +65,14 @@ class Trunk(nn.Module):
 
     @torch.no_grad()
     def renormalise(self, mean: Tensor, var: Tensor, known: Tensor) -> None:
-        """Normalise by other statistics (n,) from now on, and say the same of inputs that were `known` (n,) bool.
+        """Replace the statistics (n,) and keep the network's outputs for inputs that were `known` (n,) bool.
 
-        W (x − m) / σ + b = W' (x − m') / σ' + b' where W' = W σ' / σ and b' = b + W (m' − m) / σ: before a network what
-        PopArt (van Hasselt et al., 2016) does behind it. Else each batch would move the policy, and much so where it
-        goes on in another arena. Behind a LayerNorm of the input no weights make up for it; nor where it is clipped,
-        as what has hardly moved is as soon as it does: weights that meant next to nothing would mean a hundred times
-        as much then, so these stay.
+        W (x − m) / σ + b = W' (x − m') / σ' + b' where W' = W σ' / σ and b' = b + W (m' − m) / σ: the counterpart, in
+        front of a network, of PopArt (van Hasselt et al., 2016) behind one. Otherwise each batch would change the
+        policy, strongly so when it continues in another arena. Behind a LayerNorm of the input no weights can
+        compensate. Nor can they where inputs are clipped: an input that has hardly varied so far is clipped as soon as
+        it varies, and its weights, which had next to no effect, would then have a hundred times as much. Such weights
+        stay unchanged.
         """
         if not self.norm:
             layer, before, now = self.hidden[0], self._deviation(self.observation_var), self._deviation(var)
@@ -88,11 +89,11 @@ class Trunk(nn.Module):
 
 
 class GRU(nn.Module):
-    """A gated recurrent unit (Cho et al., 2014) over sequences, with torch.nn.GRUCell's formulas and names.
+    """Gated recurrent unit (Cho et al., 2014) over sequences, with torch.nn.GRUCell's formulas and names.
 
     r, z = sigmoid(W x + b + U h + c);  n = tanh(W x + b + r·(U h + c));  h ← (1 − z)·n + z·h
 
-    Weights are orthogonal and biases zero, as HARL has them.
+    Weights are orthogonal and biases zero, as in HARL.
     """
 
     def __init__(self, size: int, units: int, layer_norm: bool):
@@ -106,9 +107,9 @@ class GRU(nn.Module):
         nn.init.orthogonal_(self.weight_hh)
 
     def forward(self, x: Tensor, first: Tensor, memory: Tensor) -> Tensor:
-        """What is remembered (B, L, units) after each of L inputs (B, L, size), given what was before (B, units).
+        """Return hidden states (B, L, units) after each of L inputs (B, L, size), given the state before (B, units).
 
-        Nothing that was before is remembered where an episode begins, `first` (B, L) bool.
+        The state restarts from zeros where an episode begins, `first` (B, L) bool.
         """
         units, states = memory.shape[-1], []
         inputs = nn.functional.linear(x, self.weight_ih, self.bias_ih)
@@ -121,67 +122,67 @@ class GRU(nn.Module):
             states.append(memory)
         return torch.stack(states, 1)
 
-    def told(self, states: Tensor) -> Tensor:
-        """What the last layer gets of what is remembered (..., units)."""
+    def output(self, states: Tensor) -> Tensor:
+        """Return the last layer's input for hidden states (..., units)."""
         return states if self.norm is None else self.norm(states)
 
 
 class Network(nn.Module):
-    """Trunk and, where the architecture is recurrent, the GRU after it. A recurrent network sees sequences."""
+    """Trunk and, if the architecture is recurrent, a GRU after it. A recurrent network takes `Sequences`."""
 
     def __init__(self, size: int, architecture: Architecture):
         super().__init__()
         self.trunk = Trunk(size, architecture)
-        self.width = architecture.recurrent or architecture.hidden[-1]  # of the last layer's input
+        self.width = architecture.recurrent or architecture.hidden[-1]  # input size of the last layer
         recurrent, layer_norm = architecture.recurrent, architecture.layer_norm
         self.gru = GRU(architecture.hidden[-1], recurrent, layer_norm) if recurrent else None
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of what it says; autocast may make what it computes with smaller."""
+        """Data type of outputs; autocast may compute in a smaller one."""
         return self.trunk.observation_mean.dtype
 
     def states(self, seen: Sequences) -> Tensor:
-        """What a recurrent network remembers (B, L, units) after each observation."""
+        """Return a recurrent network's hidden states (B, L, units) after each observation."""
         assert self.gru is not None
         return self.gru(self.trunk(seen.observations), seen.first, seen.memory)
 
     def features(self, seen: Tensor | Normalised | Sequences) -> Tensor:
-        """The last layer's input (..., width). Raises TypeError for a recurrent network that is shown no sequences."""
+        """Return the last layer's input (..., width). Raises TypeError if a recurrent network gets no `Sequences`."""
         if self.gru is None:
             return self.trunk(seen)
         if not isinstance(seen, Sequences):
             raise TypeError("a recurrent network sees sequences, and was given single observations")
-        return self.gru.told(self.states(seen))
+        return self.gru.output(self.states(seen))
 
 
 class Gaussian(Normal):
-    """Torch's, with fewer kernels in its density and the gradient of it."""
+    """torch's Normal with fewer kernels in its density and the density's gradient."""
 
     def __init__(self, mean: Tensor, std: Tensor):
         super().__init__(mean, std, validate_args=False)
         self._log_std = self.scale.log()
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """Log N(a; μ, σ) = −z² / 2 − log σ − log(2π) / 2, where z = (a − μ) / σ."""
+        """Return log N(a; μ, σ) = −z² / 2 − log σ − log(2π) / 2, where z = (a − μ) / σ."""
         return -0.5 * ((value - self.loc) / self.scale).square() - (self._log_std + LOG_ROOT)
 
     def entropy(self) -> Tensor:
-        """½ + log(2π) / 2 + log σ."""
+        """Return ½ + log(2π) / 2 + log σ."""
         return self._log_std + (0.5 + LOG_ROOT)
 
 
 class Actor(Network):
-    """A diagonal Gaussian over actions, squashed where the architecture says so; else the robot clips what it is told.
+    """Diagonal Gaussian over actions, squashed if the architecture says so; otherwise the robot clips its commands.
 
-    Which parameters and buffers there are tells the policy in JAX what kind it is: `squash`, `gru`, and `deviation`
+    The names of its parameters and buffers tell the policy in JAX which kind it is: `squash`, `gru`, and `deviation`
     instead of `std_logit`.
     """
 
     std_scale: Tensor  # () y
-    activation: Tensor  # () int, an index into ACTIVATIONS: this is how the policy in JAX learns of it
-    squash: Tensor  # () the limit of squashed actions
-    nodes: Tensor  # (NODES,) of the quadrature of their entropy, a mean over a standard normal variable
+    activation: Tensor  # () int, index into ACTIVATIONS, for the policy in JAX
+    squash: Tensor  # () limit of squashed actions
+    nodes: Tensor  # (QUADRATURE_NODES,) of a standard normal variable, for the entropy of squashed actions
     weights: Tensor  # (NODES,) and how much each counts
 
     def __init__(self, observation_size: int, action_size: int, architecture: Architecture, initial_std: float):
@@ -195,7 +196,7 @@ class Actor(Network):
         self.register_buffer("activation", torch.tensor(ACTIVATIONS.index(architecture.activation), dtype=torch.int32))
         if architecture.squash is not None:
             self.register_buffer("squash", torch.tensor(float(architecture.squash)))
-            nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+            nodes, weights = np.polynomial.hermite_e.hermegauss(QUADRATURE_NODES)
             self.register_buffer("nodes", torch.tensor(nodes).float(), persistent=False)
             self.register_buffer("weights", torch.tensor(weights / weights.sum()).float(), persistent=False)
         nn.init.orthogonal_(self.mean.weight, LAST_LAYER_GAIN)
@@ -206,29 +207,29 @@ class Actor(Network):
         self._squashed, self._state_std = architecture.squash is not None, architecture.state_std
 
     def gaussian(self, observations: Tensor | Normalised | Sequences) -> Gaussian:
-        """The Gaussian (..., action_size) before it is squashed, given observations (..., observation_size)."""
+        """Return the Gaussian (..., action_size) before squashing, given observations (..., observation_size)."""
         features = self.features(observations)
         mean = self.mean(features).to(self.dtype)
         logit = self.deviation(features).to(self.dtype) if self._state_std else self.std_logit
         std = torch.sigmoid(logit) * self.std_scale
         return Gaussian(mean, std.expand_as(mean))
 
-    def forward(self, observations: Tensor | Normalised | Sequences) -> "Gaussian | Squashed":
-        """The distribution of actions (..., action_size) given observations (..., observation_size)."""
+    def forward(self, observations: Tensor | Normalised | Sequences) -> "Gaussian | SquashedGaussian":
+        """Return the distribution of actions (..., action_size) given observations (..., observation_size)."""
         gaussian = self.gaussian(observations)
-        return Squashed(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
+        return SquashedGaussian(gaussian, self.squash, self.nodes, self.weights) if self._squashed else gaussian
 
 
-class Squashed:
-    """c·tanh(u / c) of a diagonal Gaussian u, for a limit c: near 0 it is u, and it never leaves ±c."""
+class SquashedGaussian:
+    """Distribution of c·tanh(u / c) for a diagonal Gaussian u and a limit c: about u near 0, and always within ±c."""
 
     def __init__(self, gaussian: Gaussian, limit: Tensor, nodes: Tensor, weights: Tensor):
         self.gaussian, self.limit, self._nodes, self._weights = gaussian, limit, nodes, weights
 
     def log_prob(self, actions: Tensor) -> Tensor:
-        """Log densities (..., action_size) of actions: that of u, less log du → da = log(1 − (a / c)²).
+        """Return log densities (..., action_size) of actions: that of u, minus log(1 − (a / c)²).
 
-        An action at the limit, where no number has a density, counts as a little less (SQUASH_EDGE).
+        Actions at the limit, where no density exists, count as slightly smaller (SQUASH_EDGE).
         """
         share = (actions * self.limit.reciprocal()).clamp(-SQUASH_EDGE, SQUASH_EDGE)  # rounds alike in JAX
         outer, inner = torch.log1p(share), torch.log1p(-share)
@@ -236,7 +237,7 @@ class Squashed:
         return self.gaussian.log_prob(u) - outer - inner
 
     def entropy(self) -> Tensor:
-        """Entropy (..., action_size): that of u, and the mean of log da/du, by Gauss-Hermite quadrature.
+        """Return the entropy (..., action_size): that of u, plus the mean of log da/du, by Gauss-Hermite quadrature.
 
         log(1 − tanh² x) = 2 (log 2 − x − softplus(−2x)), which loses no digits far from 0.
         """
@@ -246,7 +247,7 @@ class Squashed:
 
 
 class Critic(Network):
-    """A team's value from all that is seen, such as agents' observations, in normalised units (see ValueNorm)."""
+    """A team's value function, in normalised units (see ValueNorm), of inputs such as its agents' observations."""
 
     def __init__(self, sizes: Sequence[int], architecture: Architecture):
         super().__init__(sum(sizes), architecture)
@@ -255,19 +256,20 @@ class Critic(Network):
         nn.init.zeros_(self.value.bias)
 
     def forward(self, seen: Tensor | Normalised | Sequences) -> Tensor:
-        """Values (...) of what is seen (..., sum of sizes), concatenated."""
+        """Return values (...) of inputs (..., sum of sizes)."""
         return self._value(self.features(seen))
 
-    def along(self, seen: Sequences, following: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A recurrent critic's values (B, L) of what is seen and of what is `following` each of it (B, L, n).
+    def evaluate_sequence(self, seen: Sequences, following: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return a recurrent critic's values (B, L) of its inputs and of the inputs that follow each of them.
 
-        And what it remembers (B, L, units). What follows belongs to the same episode, also where that ends.
+        Also returns its hidden states (B, L, units). `following` (B, L, n) belongs to the same episode, even where that
+        ends.
         """
         assert self.gru is not None
         states = self.states(seen)
         alone = following.flatten(0, 1)[:, None]
         then = self.states(Sequences(alone, seen.first.new_zeros(alone.shape[:2]), states.flatten(0, 1)))
-        return self._value(self.gru.told(states)), self._value(self.gru.told(then.view_as(states))), states
+        return self._value(self.gru.output(states)), self._value(self.gru.output(then.view_as(states))), states
 
     def _value(self, features: Tensor) -> Tensor:
         return self.value(features).squeeze(-1).to(self.dtype)

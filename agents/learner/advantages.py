@@ -1,9 +1,9 @@
-"""Advantages and value normalisation, in torch. T time, N worlds."""
+"""Advantage estimation and value normalisation, in torch. T time, N worlds."""
 
 import torch
 from torch import Tensor, nn
 
-from agents.parallel import ALONE, Together
+from agents.devices.distributed import SINGLE_PROCESS, Communicator
 
 
 def advantages(
@@ -16,12 +16,12 @@ def advantages(
     gamma: float,
     lam: float,
 ) -> Tensor:
-    """Generalised advantage estimation (Schulman et al., 2016, eq. 16), (T, N).
+    """Return generalised advantage estimates (T, N) (Schulman et al., 2016, eq. 16).
 
-    `values` are V(s_t), `next_values` V(s_{t+1}) of the state that really followed, before any new episode began. A
-    `terminated` state has no future; an episode that ended, for whatever reason, hands nothing back to the one before
-    it. So a time limit is bootstrapped with the value of its true last observation, and a real end is not. What a
-    `void` decision led to is unknown: its own advantage is 0, and those before it bootstrap with V where it was taken.
+    `values` are V(s_t), `next_values` V(s_{t+1}) of the true next state, before any new episode began. A `terminated`
+    state has no future, and nothing flows back across the end of an episode, whatever ended it. So a time limit
+    bootstraps with the value of its true last observation, and a termination does not. The result of a `void` decision
+    is unknown: its own advantage is 0, and decisions before it bootstrap with V of the state in which it was taken.
     """
     # δ_t = r_t + γ V(s_{t+1}) − V(s_t);  A_t = δ_t + γ λ A_{t+1}
     delta = (rewards + gamma * next_values * ~terminated - values).masked_fill(void, 0.0)
@@ -35,10 +35,10 @@ def advantages(
 class ValueNorm(nn.Module):
     """Running mean and variance of returns with a bias correction, as HARL's: β = 0.99999, variance at least 0.01.
 
-    Before it has seen a return it says mean 0 and deviation 1: the critic's units are then those of the reward, as they
-    are without a normaliser. HARL says 0.1 there, not by choice: its floor for the variance meets sums that are still
-    0. It matters to the values of the very first batch alone, for the critic learns from normalised returns only after
-    they were seen.
+    Before the first return it gives mean 0 and deviation 1: the critic's units are then those of the reward, as without
+    a normaliser. HARL gives a deviation of 0.1 there, unintentionally: its floor for the variance meets sums that are
+    still 0. This affects only the values of the very first batch, because the critic learns from returns normalised
+    with themselves included.
     """
 
     mean_sum: Tensor  # ()
@@ -53,27 +53,27 @@ class ValueNorm(nn.Module):
         self.register_buffer("weight", torch.zeros(()))
 
     @torch.no_grad()
-    def update(self, returns: Tensor, part: Tensor, seen: Tensor, together: Together = ALONE) -> None:
-        """Take returns (B,) into account, each with its part (B,) in their mean, if any were `seen`: () 1 or 0."""
+    def update(self, returns: Tensor, weights: Tensor, seen: Tensor, comm: Communicator = SINGLE_PROCESS) -> None:
+        """Update the statistics with returns (B,), weighted (B,) in their mean, unless `seen` () is 0 instead of 1."""
         weight = (1 - self.beta) * seen
-        mean, square = together.sum((returns * part).sum(), (returns**2 * part).sum())
+        mean, square = comm.sum((returns * weights).sum(), (returns**2 * weights).sum())
         self.mean_sum.lerp_(mean, weight)  # β · sum + (1 − β) · mean
         self.square_sum.lerp_(square, weight)
         self.weight.lerp_(torch.ones_like(weight), weight)
 
     def statistics(self) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation (), in units of reward; 0 and 1 before the first update."""
-        weight = self.weight.clamp(min=1e-12)  # asking whether it is 0 would make the GPU wait
+        """Return mean and standard deviation (), in units of reward; 0 and 1 before the first update."""
+        weight = self.weight.clamp(min=1e-12)  # comparing with 0 would make the GPU wait
         mean = self.mean_sum / weight
         std = torch.sqrt((self.square_sum / weight - mean**2).clamp(min=0.01))
         return mean, std.masked_fill(self.weight == 0, 1.0)
 
     def normalise(self, returns: Tensor) -> Tensor:
-        """Returns in the critic's units."""
+        """Return returns in the critic's units."""
         mean, std = self.statistics()
         return (returns - mean) / std
 
     def denormalise(self, values: Tensor) -> Tensor:
-        """The critic's values in units of reward."""
+        """Return the critic's values in units of reward."""
         mean, std = self.statistics()
         return values * std + mean

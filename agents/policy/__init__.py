@@ -1,0 +1,1 @@
+"""Policies: networks in torch, and the same weights as functions in JAX."""

@@ -1,0 +1,34 @@
+"""Inputs that were constant where a network learnt, and their effect in an arena where they vary.
+
+Quantities that an arena lacks are constant there. The normaliser turns them into 0, so their weights keep their initial
+values. If they then vary in another arena, their tiny standard deviation would scale them up to the clip limit and make
+the policy a new one. In another arena the weights of such inputs are therefore set to 0 and their variance to 1: while
+the inputs are constant the network stays the same. Behind a LayerNorm weights matter even for constant inputs, and
+stay.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+CONSTANT = 1e-6  # variance below which an input counts as constant, up to rounding
+
+
+def is_constant(arrays: Mapping[str, np.ndarray], of: str = "") -> np.ndarray:
+    """Return a mask (n,) bool of the constant inputs of the network whose arrays begin with `of`."""
+    return np.asarray(arrays[f"{of}trunk.observation_var"]) < CONSTANT
+
+
+def has_input_norm(arrays: Mapping[str, np.ndarray], of: str = "") -> bool:
+    """Return True if that network normalises its input by a LayerNorm."""
+    return f"{of}trunk.norm.0.weight" in arrays
+
+
+def silence_constant_inputs(arrays: Mapping[str, np.ndarray], of: str = "") -> dict[str, np.ndarray]:
+    """Return the arrays of that network for use in another arena: constant inputs have no effect."""
+    constant, new = is_constant(arrays, of), dict(arrays)
+    variance, weights = f"{of}trunk.observation_var", f"{of}trunk.hidden.0.weight"
+    new[variance] = np.where(constant, np.ones_like(arrays[variance]), arrays[variance])
+    if not has_input_norm(arrays, of):
+        new[weights] = np.where(constant, np.zeros_like(arrays[weights]), arrays[weights])
+    return new

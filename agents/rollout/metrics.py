@@ -1,0 +1,91 @@
+"""Metrics of a rollout. Each is one program, because JAX takes up to a millisecond to start a single operation."""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agents.rollout.rollout import Trajectory
+from agents.rollout.team_view import select_agents, take_worlds
+from arenas.physics.void_causes import METRIC_PREFIX, Cause
+
+ALL = slice(None)
+
+
+def rollout_metrics(
+    trajectory: Trajectory,
+    index: int,
+    worlds: slice | np.ndarray,
+    sum_over_ranks: Callable[[list[float]], list[float]] = lambda sums: sums,
+) -> dict[str, float]:
+    """Return metrics of a team in its `worlds` for its learning curve, all finite.
+
+    `reward` and `shaping` are means per decision that was not void. `episodes` counts those that ended by the rules;
+    their mean `score` and `length` in decisions are present only if there is one. `voids` counts void decisions,
+    `own_voids` those that the team's own robots caused, and `void.pairs` and the like those of each cause that occurred
+    (arenas.physics.void_causes). If the worlds are split over processes, `sum_over_ranks` sums a list of numbers over
+    them.
+    """
+    length, number = trajectory.void.shape
+    chosen = np.arange(number)[worlds]
+    size, episodes, voids, own_voids, *sums = sum_over_ranks(
+        [length * chosen.size, *np.asarray(_sums(select_agents(trajectory), index, chosen)).tolist()]
+    )
+    decisions = max(size - voids, 1)
+    figures = {
+        "episodes": episodes, "voids": voids, "own_voids": own_voids,
+        "reward": sums[2] / decisions, "shaping": sums[3] / decisions,
+        **{f"{METRIC_PREFIX}{cause.key}": n for cause, n in zip(Cause, sums[4:], strict=True) if n},
+    }  # fmt: skip
+    return {**figures, "score": sums[0] / episodes, "length": sums[1] / episodes} if episodes else figures
+
+
+def episode_results(
+    trajectory: Trajectory,
+    index: int,
+    groups: int,
+    sum_over_ranks: Callable[[list[float]], list[float]] = lambda sums: sums,
+) -> np.ndarray:
+    """Return (groups, 4) episodes that a team won, drew and lost, and void ones, in each of equal groups of worlds.
+
+    Cut episodes do not count. With several other teams the best one counts; a team alone wins if it succeeds.
+    `sum_over_ranks` is as for `rollout_metrics`.
+    """
+    counts = np.asarray(_count_results(select_agents(trajectory), index, groups))
+    return np.array(sum_over_ranks(counts.ravel().astype(float).tolist())).reshape(groups, 4)
+
+
+@partial(jax.jit, static_argnums=1)
+def _sums(trajectory: Trajectory, index: int, worlds: Array) -> Array:
+    """Return (13,) counts and sums of a team in its worlds.
+
+    Episodes, void decisions, own void decisions; sums of score and length over episodes, of reward and dense reward;
+    void decisions by cause.
+    """
+    own = take_worlds(trajectory, worlds)
+    whole = (own.terminated | own.truncated) & ~own.cut
+    why = jnp.zeros(own.void.shape, jnp.uint8) if own.causes is None else own.causes
+
+    def total(values: Array, where: Array) -> Array:
+        return jnp.where(where, values, 0).sum()
+
+    score, reward, shaping = (values[..., index] for values in (own.score, own.reward, own.shaping))
+    return jnp.stack([
+        whole.sum(), own.void.sum(), (own.void & own.at_fault[..., index]).sum(), total(score, whole),
+        total(own.age, whole), total(reward, ~own.void), total(shaping, ~own.void),
+        *((own.void & (why & int(cause) != 0)).sum() for cause in Cause),
+    ])  # fmt: skip
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _count_results(trajectory: Trajectory, index: int, groups: int) -> Array:
+    """Return the counts of `episode_results`."""
+    own, others = trajectory.score[..., index], jnp.delete(trajectory.score, index, axis=-1)
+    ahead = own - (others.max(-1) if others.shape[-1] else 0.5)
+    whole = (trajectory.terminated | trajectory.truncated) & ~trajectory.cut & ~trajectory.void
+    ended = jnp.stack([whole & (ahead > 0), whole & (ahead == 0), whole & (ahead < 0), trajectory.void], axis=-1)
+    length, number, _ = ended.shape
+    return ended.reshape(length, groups, number // groups, 4).sum((0, 2))

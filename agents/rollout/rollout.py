@@ -1,0 +1,356 @@
+"""Rollouts for training and matches, each one jitted `lax.scan`: no data leaves the device between steps.
+
+T decisions, N worlds, K opponents: the worlds are split into K groups of N / K, and in group k each agent acts by the
+k-th policy of its stack.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agents.policy.jax_policy import PolicyStack, act, memory_size, update_memory
+from arenas.arena import Arena
+from arenas.robots.robot import Script
+from arenas.state import Frames, State
+
+CUT_SEED = 0x7FFFFFFF  # folded into the key that also places the robots; an arena may use the small numbers
+
+
+Memory = Mapping[str, Array]  # (N, units) by agent name, for agents with a recurrent policy in their stack
+
+
+class Worlds(NamedTuple):
+    """N worlds that continue from one rollout to the next."""
+
+    state: State
+    age: Array  # (N,) int32: decisions taken in the current episode
+    left: Array  # (N,) int32: decisions until the first episode of a new world is cut; 0: it is not cut
+    memory: Memory | None = None  # hidden states in the current episode, see `with_memory`
+
+
+class Trajectory(NamedTuple):
+    """Experience of T decisions in N worlds. Dicts are keyed by agent name."""
+
+    observations: dict[str, Array]  # (T, N, obs) before the decision
+    next_observations: dict[str, Array]  # (T, N, obs) after the decision, before a new episode begins
+    actions: dict[str, Array]  # (T, N, act)
+    log_probs: dict[str, Array]  # (T, N)
+    alive: dict[str, Array]  # (T, N) bool: the agent took part in this decision
+    next_alive: dict[str, Array]  # (T, N) bool: the same in the state that followed
+    reward: Array  # (T, N, teams) outcome
+    shaping: Array  # (T, N, teams) dense reward
+    score: Array  # (T, N, teams), meaningful where the episode ended and was not cut
+    terminated: Array  # (T, N) bool
+    truncated: Array  # (T, N) bool, also where it was cut
+    void: Array  # (T, N) bool
+    at_fault: Array  # (T, N, teams) bool: their robots made the world void; all False if that is unclear
+    cut: Array  # (T, N) bool: cut so that worlds do not end together; the score counts for no team
+    age: Array  # (T, N) int32: decisions of the episode so far, this one included
+    # (T, N, privileged_size) twice: the full state before and after each decision, where a critic observes it:
+    whole: tuple[Array, ...] = ()
+    memories: Memory | None = None  # (T / chunk, N, units) before the first decision of each chunk, if requested
+    causes: Array | None = None  # (T, N) uint8, bits of `void_causes.Cause`; None where not recorded
+
+
+class CriticObservations(NamedTuple):
+    """Input of critics in the recorded worlds R, before each decision."""
+
+    observations: dict[str, Array]  # (T, R, obs)
+    alive: dict[str, Array]  # (T, R) bool
+    whole: tuple[Array, ...]  # one array (T, R, privileged_size) if the arena offers its full state, else none
+
+
+class PlayedEpisodes(NamedTuple):
+    """Results of one episode in each of N worlds, and records of the recorded worlds R."""
+
+    score: Array  # (N, teams)
+    void: Array  # (N,) bool
+    at_fault: Array  # (N, teams) bool: their robots made the world void; all False if that is unclear
+    decisions: Array  # (N,) int: the length of each episode
+    frames: Frames  # (T, hold, R, ...)
+    actions: dict[str, Array]  # (T, R, act)
+    reward: Array  # (T, R, teams)
+    running: Array  # (T, R) bool: the episode had not ended before this decision
+    seen: CriticObservations | None = None  # if requested
+    causes: Array | None = None  # (N,) uint8, bits of `void_causes.Cause`; None where not recorded
+
+
+Act = Callable[
+    [Mapping[str, PolicyStack], dict[str, Array], Array, Memory | None, Array],
+    tuple[dict[str, Array], dict[str, Array], Memory | None],
+]
+
+
+def make_rollout(
+    arena: Arena, length: int, chunk: int | None = None, privileged: bool = False
+) -> jax.stages.Wrapped:  # fmt: skip
+    """Compile the training rollout: `rollout(stacks, worlds, key) -> (worlds, trajectory)` of `length` decisions.
+
+    `stacks` are keyed by agent name; N must be a multiple of their K groups. Finished worlds restart at once. The
+    buffers of `worlds` are donated. With `privileged` the trajectory also holds the full state, if the arena offers it.
+    For recurrent learners it holds the hidden states at the start of each `chunk` of decisions. Raises ValueError if
+    `length` is no multiple of `chunk`.
+    """
+    if chunk is not None and length % chunk:
+        raise ValueError(f"{length} decisions are no whole number of chunks of {chunk}")
+    decide = _make_act(arena)
+    whole = jax.vmap(arena.privileged_state)
+
+    def by_agent(alive: Array) -> dict[str, Array]:
+        return {agent.name: alive[:, i] for i, agent in enumerate(arena.agents)}
+
+    def rollout(stacks: Mapping[str, PolicyStack], worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
+        number = worlds.age.shape[0]
+
+        def decision(worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
+            state = worlds.state
+            act_key, place_key = jax.random.split(key)
+            actions, log_probs, memory = decide(
+                stacks, state.observations, jax.random.split(act_key, number), worlds.memory, worlds.age == 0
+            )
+            after = jax.vmap(arena.step)(state, actions)
+            verdict, age = after.verdict, worlds.age + 1
+            cut = (worlds.left == 1) & ~after.done
+            over = after.done | cut
+            step = Trajectory(
+                state.observations, after.observations, actions, log_probs,
+                by_agent(state.alive), by_agent(after.alive), verdict.reward, verdict.shaping, verdict.score,
+                verdict.terminated, verdict.truncated | cut, after.void, after.at_fault, cut, age,
+                (whole(state), whole(after)) if privileged else (), causes=after.causes,
+            )  # fmt: skip
+            fresh = jax.vmap(arena.restart)(after, jax.random.split(place_key, number), over)
+            left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))
+            return Worlds(fresh, jnp.where(over, 0, age), left, memory), step
+
+        def stretch(worlds: Worlds, keys: Array) -> tuple[Worlds, tuple[Memory | None, Trajectory]]:
+            after, steps = jax.lax.scan(decision, worlds, keys)
+            return after, (worlds.memory, steps)
+
+        worlds, keys = with_memory(worlds, stacks), jax.random.split(key, length)
+        if chunk is None:
+            return jax.lax.scan(decision, worlds, keys)
+        worlds, (memories, steps) = jax.lax.scan(stretch, worlds, keys.reshape(-1, chunk))
+        steps = jax.tree.map(lambda x: x.reshape(length, *x.shape[2:]), steps)
+        return worlds, steps._replace(memories=memories)
+
+    return _compiled(rollout, donate_argnums=1)
+
+
+def make_reset(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
+    """Compile `reset(keys (N,)) -> Worlds` of N new worlds.
+
+    Worlds that begin together would end together, and every few iterations a batch would hold little but the ends of
+    episodes. With `stagger` each first episode is cut after a uniformly random number of decisions, up to the longest.
+    """
+
+    def reset(keys: Array) -> Worlds:
+        left = _cuts(arena, keys) if stagger else jnp.zeros(keys.shape[0], jnp.int32)
+        return Worlds(jax.vmap(arena.reset)(keys), jnp.zeros(keys.shape[0], jnp.int32), left)
+
+    return _compiled(reset)
+
+
+def make_restart(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
+    """Compile `restart(worlds, keys (N,), where (N,) bool) -> Worlds`: chosen worlds restart as after `make_reset`.
+
+    It is for worlds whose opponents changed: an episode against two opponents in turn belongs to neither. The episodes
+    under way there are lost. The buffers of `worlds` are donated.
+    """
+
+    def restart(worlds: Worlds, keys: Array, where: Array) -> Worlds:
+        state = jax.vmap(arena.restart)(worlds.state, keys, where)
+        left = _cuts(arena, keys) if stagger else jnp.zeros_like(worlds.left)
+        return Worlds(state, jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left), worlds.memory)
+
+    return _compiled(restart, donate_argnums=0)
+
+
+def with_memory(worlds: Worlds, stacks: Mapping[str, PolicyStack]) -> Worlds:
+    """Return the worlds with hidden states as wide as these stacks need; existing states stay.
+
+    A hidden state is ignored where an episode begins: in new worlds, after an episode's end, and where `make_restart`
+    has restarted a world because its policies changed.
+    """
+    return worlds._replace(memory=_fit_memory(worlds.memory, stacks, worlds.age.shape[0]))
+
+
+class MatchState(NamedTuple):
+    """One episode in each of N worlds, between two series of decisions."""
+
+    state: State
+    memory: Memory | None
+    episode_keys: Array  # (N,) keys
+    decisions: Array  # (N,) int32: length of each episode so far
+    at: Array  # () int32: decisions of the longest episode so far
+
+
+class EpisodeRecords(NamedTuple):
+    """Records of the worlds R over T decisions of a match; its fields are those of `PlayedEpisodes`."""
+
+    frames: Frames
+    actions: dict[str, Array]
+    reward: Array
+    running: Array
+    seen: CriticObservations | None
+
+
+def make_play(
+    arena: Arena, recorded: tuple[int, ...] = (), seen: bool = False, privileged: bool = False
+) -> jax.stages.Wrapped:  # fmt: skip
+    """Compile a match: `play(stacks, keys (N,)) -> PlayedEpisodes`, one full episode in every world.
+
+    Every world plays exactly one episode, so that short episodes do not count more often than long ones. A world's key
+    determines its start and its random numbers; worlds with equal keys are a seed pair. `recorded` are the worlds to
+    record, with `seen` also the critics' input, and with `privileged` the full state if the arena offers it.
+    """
+    begin, go_on = _match(arena, recorded, seen, privileged)
+
+    def play(stacks: Mapping[str, PolicyStack], keys: Array) -> PlayedEpisodes:
+        match_state, records = go_on(stacks, begin(stacks, keys), arena.timing.decisions)
+        return finish_match(match_state, records)
+
+    return _compiled(play)
+
+
+def make_stepwise_play(
+    arena: Arena, length: int, recorded: tuple[int, ...] = ()
+) -> tuple[jax.stages.Wrapped, jax.stages.Wrapped]:
+    """Compile a match that is played piece by piece, so that other programs can use the device in between.
+
+    Returns:
+        `begin(stacks, keys (N,)) -> MatchState`, and `go_on(stacks, match_state) -> (MatchState, EpisodeRecords,
+        over)`,
+        which plays `length` decisions and donates the buffers of `match_state`; `over` () bool: all episodes have
+        ended.
+        Then `finish_match` returns the same episodes as `make_play`.
+    """
+    begin, go_on = _match(arena, recorded)
+
+    def stretch(stacks: Mapping[str, PolicyStack], match_state: MatchState) -> tuple[MatchState, EpisodeRecords, Array]:
+        after, records = go_on(stacks, match_state, length)
+        return after, records, after.state.done.all() | (after.at >= arena.timing.decisions)
+
+    return _compiled(begin), _compiled(stretch, donate_argnums=1)
+
+
+def finish_match(match_state: MatchState, records: EpisodeRecords) -> PlayedEpisodes:
+    """Return the episodes of a match once all of them have ended."""
+    state = match_state.state
+    return PlayedEpisodes(
+        state.verdict.score, state.void, state.at_fault, match_state.decisions, *records, causes=state.causes
+    )
+
+
+def _match(
+    arena: Arena, recorded: tuple[int, ...], seen: bool = False, privileged: bool = False
+) -> tuple[
+    Callable[[Mapping[str, PolicyStack], Array], MatchState],
+    Callable[[Mapping[str, PolicyStack], MatchState, int], tuple[MatchState, EpisodeRecords]],
+]:  # fmt: skip
+    """Return the functions that begin a match and play its next decisions."""
+    decide, whole = _make_act(arena), jax.vmap(arena.privileged_state)
+    kept = jnp.asarray(recorded, jnp.int32)
+
+    def critic_observations(state: State) -> CriticObservations:
+        state = jax.tree.map(lambda x: x[kept], state)
+        alive = {agent.name: state.alive[:, i] for i, agent in enumerate(arena.agents)}
+        return CriticObservations(state.observations, alive, (whole(state),) if privileged else ())
+
+    def begin(stacks: Mapping[str, PolicyStack], keys: Array) -> MatchState:
+        start, episode_keys = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 2))(keys), 1, 0)
+        number = keys.shape[0]
+        return MatchState(
+            jax.vmap(arena.reset)(start), _fit_memory(None, stacks, number), episode_keys, jnp.zeros(number, jnp.int32),
+            jnp.zeros((), jnp.int32),
+        )  # fmt: skip
+
+    def go_on(
+        stacks: Mapping[str, PolicyStack], match_state: MatchState, length: int
+    ) -> tuple[MatchState, EpisodeRecords]:
+        episode_keys = match_state.episode_keys
+
+        def decision(carry: tuple[State, Memory | None], t: Array) -> tuple[tuple[State, Memory | None], tuple]:
+            state, memory = carry
+            keys = jax.vmap(lambda key: jax.random.fold_in(key, t))(episode_keys)
+            actions, _, memory = decide(stacks, state.observations, keys, memory, jnp.broadcast_to(t == 0, keys.shape))
+            after, frames = jax.vmap(arena.step_with_frames)(state, actions)
+            records = EpisodeRecords(
+                jax.tree.map(lambda x: jnp.moveaxis(x[kept], 0, 1), frames),
+                {name: a[kept] for name, a in actions.items()},
+                after.verdict.reward[kept],
+                ~state.done[kept],
+                critic_observations(state) if seen else None,
+            )
+            return (after, memory), (records, ~state.done)
+
+        (state, memory), (records, on) = jax.lax.scan(
+            decision, (match_state.state, match_state.memory), match_state.at + jnp.arange(length)
+        )
+        decisions = match_state.decisions + on.sum(axis=0, dtype=jnp.int32)
+        return MatchState(state, memory, episode_keys, decisions, match_state.at + length), records
+
+    return begin, go_on
+
+
+def scripts_for(arena: Arena, kind: str) -> dict[str, Script]:
+    """Return the scripts for robots of this kind by name; positions are their numbers in a policy stack."""
+    return {name: kinds[kind] for name, kinds in arena.scripts().items() if kind in kinds}
+
+
+def _compiled(function: Callable, **options: Any) -> jax.stages.Wrapped:
+    """Apply `jax.jit` with all inputs on this process's device.
+
+    Arrays that came from torch are bound to the device and others are not; without this, JAX recompiles for every
+    mix of the two.
+    """
+    return jax.jit(function, in_shardings=jax.sharding.SingleDeviceSharding(jax.devices()[0]), **options)
+
+
+def _cuts(arena: Arena, keys: Array) -> Array:
+    """Return the decisions (N,) until a first episode is cut, uniform up to the longest episode."""
+    own = jax.vmap(lambda key: jax.random.fold_in(key, CUT_SEED))(keys)
+    return jax.vmap(lambda key: jax.random.randint(key, (), 1, arena.timing.decisions + 1))(own)
+
+
+def _fit_memory(memory: Memory | None, stacks: Mapping[str, PolicyStack], number: int) -> Memory | None:
+    """Return hidden states of `number` worlds as wide as these stacks need, cut or padded; None if they need none.
+
+    Hidden states start as zeros.
+    """
+    found = {}
+    for agent, stack in stacks.items():
+        if width := memory_size(stack):
+            before = (memory or {}).get(agent, jnp.zeros((number, 0)))[:, :width]
+            found[agent] = jnp.pad(before, ((0, 0), (0, width - before.shape[1])))
+    return found or None
+
+
+def _make_act(arena: Arena) -> Act:
+    """Return the function that lets all agents act.
+
+    It is decide(stacks, observations, keys (N,), memory, first (N,)) -> (actions, log_probs, memory), by agent name.
+    """
+    scripts = {agent.kind: tuple(scripts_for(arena, agent.kind).values()) for agent in arena.agents}
+
+    def decide(
+        stacks: Mapping[str, PolicyStack],
+        observations: dict[str, Array],
+        keys: Array,
+        memory: Memory | None,
+        first: Array,
+    ) -> tuple[dict[str, Array], dict[str, Array], Memory | None]:
+        actions, log_probs, after = {}, {}, dict(memory or {})
+        for i, agent in enumerate(arena.agents):
+            own = jax.vmap(lambda key: jax.random.fold_in(key, i))(keys)  # noqa: B023  (called at once)
+            stack, seen = stacks[agent.name], observations[agent.name]
+            if agent.name in after:
+                after[agent.name] = update_memory(stack, seen, after[agent.name], first)
+            actions[agent.name], log_probs[agent.name] = act(
+                stack, seen, own, scripts[agent.kind], after.get(agent.name), agent.name, first
+            )
+        return actions, log_probs, after or None
+
+    return decide
