@@ -1,7 +1,10 @@
-"""Bodies and rules: games, most of them with physics, behind one contract. Knows nothing of learning.
+"""Robot League's arenas: games, most of them with physics, behind one contract. Independent of learning.
 
-`names()` lists the arenas, `settings(name)` gives an arena's settings, `load(name)` builds it. An arena of your own
+`names()` lists the arenas, `settings(name)` returns an arena's settings, `load(name)` builds it. An arena of your own
 needs no registration: `path/to/duel.py:duel` names the arena `duel` of a file, `package.module:duel` that of a module.
+
+`pettingzoo(name)`, `vector(name, team, opponent)` and `single(name, team, opponent)` are environments for learners of
+your own (docs/environments.md).
 """
 
 import difflib
@@ -11,27 +14,36 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 if TYPE_CHECKING:
-    from arenas.arena import Arena
-    from arenas.options import Settings, Where
+    from arenas.arena import Arena, Settings
+    from arenas.arena_settings import EngineOptions
+    from arenas.contract.environments.parallel_env import WorldEnv
+    from arenas.contract.environments.single_env import TeamEnv
+    from arenas.contract.environments.vector_env import Choice, TeamVectorEnv
 
-MODULES = ("arenas.sumo", "arenas.soccer", "arenas.galaga", "arenas.pursuit", "arenas.matrix")
+MODULES = (
+    "arenas.games.sumo",
+    "arenas.games.soccer",
+    "arenas.games.galaga",
+    "arenas.games.pursuit",
+    "arenas.games.matrix",
+)
 
 
 def names() -> list[str]:
-    """The arenas that come with the league."""
+    """Return the names of the arenas that come with the league, sorted."""
     return sorted(known())
 
 
 def known() -> dict[str, "Settings"]:
-    """Default settings of the arenas that come with the league, by name."""
+    """Return the default settings of the arenas that come with the league, by name."""
     return {s.name: s for module in MODULES for s in importlib.import_module(module).ARENAS}
 
 
 def settings(name: str) -> "Settings":
-    """An arena's default settings. Raises ArenaError, one line with what exists, for an unknown name."""
+    """Return an arena's default settings. Raises ArenaError, which lists the known arenas, if unknown."""
     from arenas.errors import ArenaError
 
     where, _, own = name.rpartition(":")
@@ -43,34 +55,98 @@ def settings(name: str) -> "Settings":
     raise ArenaError(f"unknown arena {name!r}: {hint}(arenas: {', '.join(sorted(found))}; your own: file.py:name)")
 
 
-def load(name: str, **where: Unpack["Where"]) -> "Arena":
-    """An arena by name with its default settings."""
-    return settings(name).build(**where)
+def load(name: str, **options: Unpack["EngineOptions"]) -> "Arena":
+    """Build an arena by name with its default settings."""
+    return settings(name).build(**options)
+
+
+def pettingzoo(
+    name: "str | Settings", *, shaping: float = 1.0, void_penalty: float = 1.0, action_limit: float = 1.0,
+    render_mode: str | None = None, **options: Unpack["EngineOptions"],
+) -> "WorldEnv":  # fmt: skip
+    """Return one world of an arena as a PettingZoo `ParallelEnv` of all agents, on the C engine by default.
+
+    Args:
+        name: the arena's name, or its settings where the rules should differ.
+        shaping: weight of the dense reward in the reward.
+        void_penalty: price of a world whose physics the agent's own team made fail.
+        action_limit: bound of the action spaces. Robots clip their actions to ±1, except ANYmal, MiniTank and HARL-A's
+            rovers, which follow greater ones too.
+        render_mode: None; environments draw nothing.
+        options: engine, threads and buffers.
+
+    Raises ArenaError or EngineError, one line.
+    """
+    _require("pettingzoo", "gymnasium")
+    from arenas.contract.environments.parallel_env import WorldEnv
+
+    return WorldEnv(name, shaping, void_penalty, action_limit, render_mode, **{"engine": "c", "threads": 1, **options})
+
+
+def vector(
+    name: "str | Settings", team: str, opponent: "Choice" = None, *, num_envs: int = 1, **options: Any
+) -> "TeamVectorEnv":
+    """Return many worlds of an arena as a Gymnasium `VectorEnv`, in which a team learns against an opponent.
+
+    Args:
+        name: the arena's name, or its settings where the rules should differ.
+        team: the team that learns, e.g. `blue`.
+        opponent: player of the other team, none in an arena of one team: the name of a script, `league.opponent(...)`
+            for a snapshot or a policy's file, or a function in JAX: ({agent: observation (obs,)}, key) -> {agent:
+            action (act,)}.
+        num_envs: rows of the batch.
+        options: `agents`: "joint", where a row is a world and has all observations and actions of the team, one agent
+            after the other, or "shared", where each agent of a team of equal robots is a row of its own; `arrays`:
+            "numpy", "jax" or "torch"; `shaping`, `void_penalty`, `action_limit` and the engine's as for `pettingzoo`.
+
+    Raises ArenaError or EngineError, one line.
+    """
+    _require("gymnasium")
+    from arenas.contract.environments.vector_env import TeamVectorEnv
+
+    return TeamVectorEnv(name, team, opponent, num_envs, **options)
+
+
+def single(name: "str | Settings", team: str, opponent: "Choice" = None, **options: Any) -> "TeamEnv":
+    """Return one world as a Gymnasium `Env` of a team; arguments are those of `vector`. It is far slower per world."""
+    _require("gymnasium")
+    from arenas.contract.environments.single_env import TeamEnv
+
+    return TeamEnv(name, team, opponent, **options)
+
+
+def _require(*packages: str) -> None:
+    """Raise ArenaError for a package of the extra `envs` that is not installed."""
+    from arenas.errors import ArenaError
+
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            raise ArenaError(f"environments need the package {package}: pip install 'robot-league[envs]'")
 
 
 def _module(where: str) -> ModuleType:
-    """The module at a path or of a name; it lists its arenas' settings in `ARENAS`."""
+    """Import the module at a path or of a name. The module must list its arenas' settings in `ARENAS`."""
     from arenas.errors import ArenaError
 
     if where.endswith(".py"):
-        module = _file(Path(where))
+        module = python_file(Path(where))
     else:
         try:
             module = importlib.import_module(where)
         except ModuleNotFoundError as error:
             if error.name is None or not f"{where}.".startswith(f"{error.name}."):
-                raise  # the module is there, and something that it imports is not
+                raise  # the module exists, but a module that it imports does not
             raise ArenaError(f"no arena module {where!r}: give a file such as my/duel.py:duel or a module") from error
     if not hasattr(module, "ARENAS"):
         raise ArenaError(f"{where} lists no arenas: it needs ARENAS = (settings, ...)")
     return module
 
 
-def _file(path: Path) -> ModuleType:
-    """The module in a file, run once in a process.
+def python_file(path: Path) -> ModuleType:
+    """Import the module in a file, once per process.
 
-    It is listed in `sys.modules`, where dataclasses and the settings look for its types and for the notes under its
-    fields, by its whole path, so that it hides no module of the same name.
+    The module is registered in `sys.modules`, where dataclasses and the settings look for its types and for the notes
+    under its fields. Its key is the whole path, so that it hides no module of the same name.
     """
     from arenas.errors import ArenaError
 

@@ -1,4 +1,4 @@
-"""What can be wrong with an arena or an engine, each told in one line."""
+"""Errors of arenas and engines, each with a one-line message."""
 
 
 class ArenaError(Exception):

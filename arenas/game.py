@@ -1,9 +1,10 @@
-"""What a game is made of: its robots in a scene, the hooks that it fills in, and what it may ask about its robots."""
+"""Base class of games: robots in a scene, the hooks to implement, and queries about the robots."""
 
 import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Unpack, final
 
@@ -13,26 +14,31 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from arenas.about import Legend, Part, numbers
-from arenas.engines import make_engine
+from arenas.arena_settings import EngineOptions, Solver, Timing
+from arenas.description import Legend, Part, total_size
 from arenas.errors import ArenaError
-from arenas.options import Solver, Timing, Where
-from arenas.physics import Engine, Law, Physics
-from arenas.privileged import Bodies
-from arenas.props import Prop
+from arenas.physics.engine import Engine, Law, Physics
+from arenas.physics.registry import make_engine
 from arenas.robots.robot import Body, Robot, Script
 from arenas.rosters import check_rosters
-from arenas.scene import Scene, build
+from arenas.scene.privileged import PrivilegedState
+from arenas.scene.props import Prop
+from arenas.scene.scene import Scene, build
 from arenas.state import AgentSpec, TeamSpec, Verdict
 
 
 class Game(ABC):
-    """A scene with teams, and the hooks of what is played there: all of an arena but its verbs.
+    """A scene with teams, and the hooks of the game: all of an arena except `reset` and `step`.
 
-    A game fills in `observation_size`, `place`, `observe` and `judge`, and `decide`, `alive`, `randomise`, `exchange`,
-    `game_scripts`, `markers` and `privileged` if it has such. The constructor calls none of them: what they need can be
-    set after it.
+    A game implements `observation_size`, `place`, `observe` and `judge`, and optionally `decide`, `alive`, `randomise`,
+    `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass can set
+    the attributes that they need after it.
     """
+
+    exchangeable: bool = False
+    """True if two teams of equal agents can change places without changing the game. A game declares it for its class
+    or in its constructor, and `league check` tests it. Otherwise equal teams count as unlike: sides are not swapped,
+    and each team has a ladder of its own."""
 
     def __init__(
         self,
@@ -45,14 +51,14 @@ class Game(ABC):
         solver: Solver | None = None,
         derived: tuple[str, ...] = (),
         marker_kinds: Mapping[str, str] | None = None,
-        **where: Unpack[Where],
+        **options: Unpack[EngineOptions],
     ):
-        """A game in a scene of its own.
+        """Build the game's scene and engine.
 
-        `robots` are the teams' rosters, one team or more. `rules` is all that the outcome of a game depends on beside
-        the model. `derived` are the fields of Physics beyond qpos and qvel that the hooks read, `marker_kinds` what
-        is drawn with the robots: name -> "circle" (x, y, radius) on the ground, "segment" (x, y, z of both ends),
-        "sphere" of wire or solid "ball" (x, y, z, radius). Raises ArenaError for rosters that cannot be.
+        `robots` are the teams' rosters, one team or two. `rules` holds everything except the model that the outcome of
+        a game depends on. `derived` names the fields of Physics beyond qpos and qvel that the hooks read.
+        `marker_kinds` declares what is drawn with the robots: name -> "circle" (x, y, radius) on the ground, "segment"
+        (x, y, z of both ends), wire "sphere" or solid "ball" (x, y, z, radius). Raises ArenaError for invalid rosters.
         """
         check_rosters(robots)
         self.name = name
@@ -61,18 +67,27 @@ class Game(ABC):
         self.marker_kinds: Mapping[str, str] = dict(marker_kinds or {})
         self.scene: Scene = build(robots, props, solver=solver, timestep=timing.timestep)
         self.config_hash = _hash(rules, timing, self.scene.xml)
-        buffers = solver or Solver()
+        buffers = (solver or Solver()).with_buffers(options.get("contacts"), options.get("rows"))
         self.engine: Engine = make_engine(
-            where.get("engine", "auto"), self.scene.model, derived, worlds=where.get("worlds", 1),
-            contacts=buffers.contacts, rows=buffers.rows, threads=where.get("threads", 0),
+            options.get("engine", "auto"), self.scene.model, derived, worlds=options.get("worlds", 1),
+            buffers=buffers, threads=options.get("threads", 0),
         )  # fmt: skip
         self._rosters = {team: tuple(f"{team}/{i}" for i in range(len(rs))) for team, rs in robots.items()}
-        self.law = _composed(self.scene, self.robots)
+        self.law = _compose_laws(self.scene, self.robots)
 
     @cached_property
     def teams(self) -> tuple[TeamSpec, ...]:
-        """The sides, in the order of scores and rewards."""
-        return tuple(TeamSpec(team, tuple(map(self._spec, agents))) for team, agents in self._rosters.items())
+        """The teams, in the order of scores and rewards."""
+        plain = [TeamSpec(team, tuple(map(self._spec, agents))) for team, agents in self._rosters.items()]
+        rosters = [team.roster for team in plain]
+        side_specific = [not self.exchangeable and rosters.count(roster) > 1 for roster in rosters]
+        return tuple(replace(team, side_specific=unlike) for team, unlike in zip(plain, side_specific, strict=True))
+
+    @final
+    def exchange_teams(self) -> None:
+        """Treat teams of equal agents as exchangeable, for leagues that were created with such an arena."""
+        self.exchangeable = True
+        vars(self).pop("teams", None)
 
     @property
     def agents(self) -> tuple[AgentSpec, ...]:
@@ -83,7 +98,7 @@ class Game(ABC):
 
     @abstractmethod
     def observation_size(self, agent: str) -> int:
-        """Numbers in the agent's observation."""
+        """Return the size of the agent's observation."""
 
     @abstractmethod
     def place(self, key: Array) -> tuple[Array, Array, Any]:
@@ -91,32 +106,36 @@ class Game(ABC):
 
     @abstractmethod
     def observe(self, physics: Physics, game: Any, actions: dict[str, Array]) -> dict[str, Array]:
-        """What each agent sees: agent name -> (observation_size,)."""
+        """Return each agent's observation: agent name -> (observation_size,)."""
 
     @abstractmethod
     def judge(self, before: Physics, physics: Physics, game: Any) -> tuple[Any, Verdict]:
-        """Judge one control step, from `before` to `physics`: the game's pytree after it, and the verdict."""
+        """Judge one control step, from `before` to `physics`. Return the game's pytree after it and the verdict."""
 
     def decide(self, game: Any, actions: dict[str, Array]) -> Any:
-        """Note in the game's pytree what the agents decided, before it is carried out; for games that judge actions."""
+        """Record the agents' decisions in the game's pytree before they are executed, for games that judge actions."""
         return game
 
     def alive(self, physics: Physics, game: Any) -> Array:
-        """(agents,) bool: who takes part in the game. Who is out of it neither acts nor sees, and teaches no learner.
+        """Return (agents,) bool: the agents that take part in the game.
 
-        Its robot goes on as its `limp` action has it. That it earns nothing any more is for `judge` to see to.
+        The others neither act nor observe, and no learner learns from them. Their robots execute the `limp` action.
+        `judge` must stop their rewards.
         """
         return jnp.ones(len(self.robots), bool)
 
     def randomise(self, key: Array) -> dict[str, Array]:
-        """Draw this episode's own model fields, of those in `arenas.physics.VARIABLE`, each shaped as the model's."""
+        """Draw this episode's own model fields, each shaped as the model's.
+
+        Only fields in `arenas.physics.engine.VARIABLE` may differ between worlds.
+        """
         return {}
 
     def exchange(self, qpos: Array, qvel: Array, game: Any) -> tuple[Array, Array, Any]:
-        """The same situation with two equal teams in each other's places: what one saw the other sees now.
+        """Return the same situation with two exchangeable teams in each other's places.
 
-        Robots change places with those of their number; a game in which a team has more of its own (a block, a goal)
-        exchanges that too.
+        Each team then observes what the other observed. Robots change places with those of the same index. A game in
+        which a team owns more (a block, a goal, a count) exchanges that too.
         """
         changed, moved = qpos, qvel
         for mine, yours in zip(*self._rosters.values(), strict=True):
@@ -128,55 +147,55 @@ class Game(ABC):
         return changed, moved, game
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
-        """Scripted opponents that know this game: name -> robot kind -> script."""
+        """Return scripted opponents that know this game: name -> robot kind -> script."""
         return {}
 
     def markers(self, physics: Physics, game: Any) -> dict[str, Array]:
-        """What to draw beside the robots now, by the names of `marker_kinds`."""
+        """Return the current markers, by the names of `marker_kinds`."""
         return {}
 
     def privileged(self, physics: Physics, game: Any, actions: dict[str, Array]) -> Array:
-        """The whole state as one vector (privileged_size,), for critics that may see what no robot sees.
+        """Return the whole state as one vector (privileged_size,), for critics that may see more than robots do.
 
-        Every body's place, attitude and velocity in the world, who is in the game, the game's own numbers, the last
-        actions and the share of the time that is left. A game without bodies has none, unless it overrides this
-        together with `privileged_parts`.
+        It contains every body's place, attitude and velocity in the world, the agents that are in the game, the game's
+        own numbers, the last actions and the remaining share of the time. A game without bodies has none, unless it
+        overrides this method together with `privileged_parts`.
         """
-        alive = self.alive(physics, game) if self._mortal else None
+        alive = self.alive(physics, game) if self._agents_can_leave else None
         left = 1.0 - physics.time / self.timing.episode
-        return self._bodies.everything(physics, alive, game, actions, left)
+        return self._privileged_reader.read(physics, alive, game, actions, left)
 
     def privileged_parts(self) -> tuple[Part, ...]:
-        """What the numbers of `privileged` are, in their order: so many there are. Nothing: the arena has no such."""
-        if not self._bodies.parts:
+        """Describe the numbers of `privileged`, in their order. Empty if the arena has no privileged state."""
+        if not self._privileged_reader.parts:
             return ()
         game = jax.eval_shape(lambda key: self.place(key)[2], jax.random.key(0))
-        return self._bodies.everything_told(
-            self._mortal, game, {name: r.action_size for name, r in self.robots.items()}
+        return self._privileged_reader.parts_of(
+            self._agents_can_leave, game, {name: r.action_size for name, r in self.robots.items()}
         )
 
-    # What a game says about itself; `league check` holds it against what it does --------------------------------------
+    # Descriptions, which `league check` compares with the game --------------------------------------------------------
 
     def observation_parts(self, agent: str) -> tuple[Part, ...]:
-        """What the numbers of an agent's observation are, in their order; nothing: they have no names."""
+        """Describe the numbers of an agent's observation, in their order. Empty if they have no names."""
         return ()
 
     def legend(self) -> Legend:
-        """What the verdicts' terms, events and score mean."""
+        """Describe the verdicts' terms, events and score."""
         return Legend()
 
-    # What games ask about their robots -------------------------------------------------------------------------------
+    # Queries about robots ---------------------------------------------------------------------------------------------
 
     @final
     def body(self, agent: str, physics: Physics, actions: Mapping[str, Array]) -> Body:
-        """An agent's robot as it feels itself."""
+        """Return an agent's robot as it senses itself."""
         at, (qpos, qvel) = self.scene.agents[agent], (physics.qpos, physics.qvel)
         base = qpos[at.qpos : at.qpos + 7], qvel[at.qvel : at.qvel + 6]
         return Body(*base, qpos[at.joint_qpos], qvel[at.joint_qvel], actions[agent])
 
     @final
     def command(self, actions: Mapping[str, Array]) -> Array:
-        """The agents' actions as one command (nu,) to all actuators."""
+        """Combine the agents' actions into one command (nu,) to all actuators."""
         command = jnp.zeros(self.scene.model.nu)
         for agent, at in self.scene.agents.items():
             command = command.at[at.ctrl].set(self.robots[agent].command(actions[agent]))
@@ -184,7 +203,9 @@ class Game(ABC):
 
     @final
     def fallen(self, physics: Physics) -> Array:
-        """(agents,) bool: who has fallen, by the rule of its robot; who has no body cannot."""
+        """Return (agents,) bool: the agents that have fallen by the rule of their robot. Agents without a body cannot
+        fall.
+        """
         rules = [
             self.robots[agent].fallen(physics.qpos[at.qpos : at.qpos + 7]) if at else jnp.zeros((), bool)
             for agent, at in ((agent, self.scene.agents.get(agent)) for agent in self.robots)
@@ -193,12 +214,14 @@ class Game(ABC):
 
     @cached_property
     def privileged_size(self) -> int:
-        """Numbers in the whole state as critics may see it; 0: there is none to see."""
-        return numbers(self.privileged_parts())
+        """The size of the privileged state; 0 if there is none."""
+        return total_size(self.privileged_parts())
 
     @final
     def scripts(self) -> dict[str, dict[str, Script]]:
-        """Scripted opponents: name -> robot kind -> script, of kinds that play here; the robots' before the game's."""
+        """Return scripted opponents of the kinds that play here: name -> robot kind -> script. A game's replace the
+        robots'.
+        """
         found: dict[str, dict[str, Script]] = {}
         of_robots = [{n: {robot.kind: s} for n, s in robot.scripts.items()} for robot in self.robots.values()]
         here = {robot.kind for robot in self.robots.values()}
@@ -210,8 +233,8 @@ class Game(ABC):
         return found
 
     @final
-    def playable(self, team: TeamSpec) -> tuple[str, ...]:
-        """The scripts that a team can play: those known to every kind of robot in it."""
+    def playable_scripts(self, team: TeamSpec) -> tuple[str, ...]:
+        """Return the scripts that a team can play: those that exist for every kind of robot in it."""
         return tuple(n for n, kinds in self.scripts().items() if all(a.kind in kinds for a in team.agents))
 
     # Inside ----------------------------------------------------------------------------------------------------------
@@ -221,17 +244,17 @@ class Game(ABC):
         return AgentSpec(agent, robot.kind, self.observation_size(agent), robot.action_size)
 
     @cached_property
-    def _bodies(self) -> Bodies:
-        return Bodies(self.scene)
+    def _privileged_reader(self) -> PrivilegedState:
+        return PrivilegedState(self.scene)
 
     @cached_property
-    def _mortal(self) -> bool:
-        """Whether the game ever says that somebody is out of it; the others pay nothing for the question."""
+    def _agents_can_leave(self) -> bool:
+        """True if the game can remove agents. Other games skip the computation."""
         return type(self).alive is not Game.alive
 
 
 def check_scripts(arena: Game, name: str) -> Mapping[str, Script]:
-    """A scripted opponent by name: robot kind -> script. An unknown one is an ArenaError that lists what exists."""
+    """Return a script by name: robot kind -> script. Raises ArenaError, which lists the scripts, if unknown."""
     scripts = arena.scripts()
     if name not in scripts:
         raise ArenaError(f"arena {arena.name} has no script {name!r}; it has {', '.join(sorted(scripts)) or 'none'}")
@@ -239,13 +262,13 @@ def check_scripts(arena: Game, name: str) -> Mapping[str, Script]:
 
 
 def _hash(rules: Mapping[str, Any], timing: Timing, xml: str) -> str:
-    """Sixteen hexadecimal digits that change with the rules, the timing, the bodies or MuJoCo's version."""
+    """Return sixteen hexadecimal digits that change with the rules, the timing, the bodies or MuJoCo's version."""
     text = json.dumps([dict(rules), vars(timing), xml, mujoco.__version__], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _composed(scene: Scene, robots: Mapping[str, Robot]) -> Law | None:
-    """The robots' laws, each over its own joints and actuators, as one; None if none has any."""
+def _compose_laws(scene: Scene, robots: Mapping[str, Robot]) -> Law | None:
+    """Combine the robots' laws, each over its own joints and actuators, into one. None if no robot has a law."""
     laws = [(scene.agents[agent], robot.law) for agent, robot in robots.items() if robot.law]
     if not laws:
         return None

@@ -1,4 +1,4 @@
-"""ANYmal C: ANYbotics' quadruped of 52 kg, twelve joints under a PD law that its motors' torque and speed clip.
+"""ANYmal C: ANYbotics' quadruped of 52 kg, twelve joints under a PD law with limits of torque and speed.
 
 | quantity                   | value                                       | source                              |
 |----------------------------|---------------------------------------------|-------------------------------------|
@@ -13,15 +13,15 @@
 | friction of feet           | 1.0                                         | HARL-A: ground 1.0 × robot 1.0      |
 | friction of all else       | 0.3                                         | chosen, as rovers: bodies slide off |
 
-HARL-A drives this robot with a learned model of the motors (an LSTM over position error and speed) that nobody but its
-authors has. The PD law is the stand-in that the same file names. Measured values are on the robot's page in docs/.
+HARL-A drives this robot with a learned model of the motors (an LSTM over position error and speed), which is not
+published. The PD law is the substitute named in the same file. Measured values are on the robot's page in docs/.
 
-Joints are listed in PhysX's breadth-first order (all HAA, all HFE, all KFE; LF, LH, RF, RH), as HARL-A's observations
-and actions are; MuJoCo's own order is leg by leg.
+Joints are listed in PhysX's breadth-first order (all HAA, all HFE, all KFE; LF, LH, RF, RH), as in HARL-A's
+observations and actions; MuJoCo's own order is leg by leg.
 
-Collision shapes are capsules and spheres: every engine has their pairs in closed form, where boxes and cylinders would
-need the general convex routine. Feet, shanks, thighs and torso meet the ground and everything else; a leg's hip, thigh
-and shank do not meet each other, nor hips and thighs the robot's own torso.
+Collision shapes are capsules and spheres: every engine collides their pairs in closed form, while boxes and cylinders
+need the general convex routine. Feet, shanks, thighs and torso touch the ground and everything else. A leg's hip, thigh
+and shank do not touch each other, nor do hips and thighs touch the robot's own torso.
 """
 
 import math
@@ -33,9 +33,9 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from arenas.about import Part
-from arenas.robots.robot import MOTION, Body, Colour, Robot, anything, nothing
-from arenas.rotations import into_body, up_z
+from arenas.description import Part
+from arenas.robots.robot import MOTION, Body, Colour, Robot, idle_script, random_script
+from arenas.robots.rotations import into_body, up_z
 
 LEGS = {"LF": (1, 1), "LH": (-1, 1), "RF": (1, -1), "RH": (-1, -1)}  # front +1 or hind −1, left +1 or right −1
 DRIVES = ("HAA", "HFE", "KFE")  # hip abduction, hip flexion, knee flexion
@@ -55,8 +55,8 @@ HIP = (2.781, (0.0567, 0.01739, -0.00046), (0.0033, 0.00494, 0.00583, 0.0, 0.0, 
 THIGH = (3.071, (0.0, 0.03081, -0.2457), (0.0299, 0.02956, 0.00486, 0.0, 0.0, 0.00414))
 SHANK = (0.58842, (0.06125, 0.00546, -0.08066), (0.00881, 0.01016, 0.00155, 0.0, 0.00182, 0.0))  # with the foot
 
-OUTWARD, INWARD = 0.49, 0.72  # rad, how far HAA spreads a leg and how far it brings it under the body
-FLEXION = 9.42478  # rad, either way
+OUTWARD, INWARD = 0.49, 0.72  # rad, how far HAA spreads a leg, and how far it moves it under the body
+FLEXION = 9.42478  # rad, in both directions
 REST = {"HAA": 0.0, "HFE": 0.4, "KFE": -0.8}  # rad, front legs; hind legs bend the other way
 REST_HEIGHT = 0.5492  # m, of the base's origin
 
@@ -65,23 +65,29 @@ STALL, EFFORT, MAX_SPEED = 120.0, 80.0, 7.5  # N·m, N·m, rad/s
 ACTION_SCALE = 0.5  # rad
 ARMATURE = 0.02  # kg·m²
 GRIP, SLIDE = (1.0, 0.005, 0.0001), (0.3, 0.005, 0.0001)  # friction
-STIFF = (0.998, 0.998, 0.001, 0.5, 2.0)  # solimp of feet: with MuJoCo's 0.9 they creep apart, and it lies after 4 s
+STIFF = (
+    0.998,
+    0.998,
+    0.001,
+    0.5,
+    2.0,
+)  # solimp of feet: with MuJoCo's 0.9 they creep apart, and the robot lies down after 4 s
 DARK, GREY = (0.10, 0.11, 0.13, 1.0), (0.45, 0.47, 0.50, 1.0)
 
-# What touches: radius m, and the ends of each capsule's axis in the frame of its body. The torso's two stand for the
-# URDF's cylinders along x, of the same radius and place, and for the boxes between them.
+# Collision shapes: radius m, and the ends of each capsule's axis in the frame of its body. The torso's two capsules
+# replace the URDF's cylinders along x, of the same radius and place, and the boxes between them.
 TORSO_RADIUS, TORSO_SIDE, TORSO_HALF = 0.09, 0.07, 0.4345  # the hull is 1.05 m × 0.32 m × 0.18 m
 THIGH_RADIUS, THIGH_AXIS = 0.05, ((0.0, 0.035, 0.0), (0.0, 0.0303, -0.285))
 SHANK_RADIUS, SHANK_AXIS = 0.025, ((0.02, 0.02, 0.0), (0.08795, 0.01305, -0.27))
 
-# Bits as in arenas.props: 1 the ground, 2 bodies.
+# Bits as in arenas.scene.props: 1 the ground, 2 bodies.
 _TOUCHES = {"contype": 2, "conaffinity": 3, "mass": 0, "group": 3}
 _DRAWN = {"contype": 0, "conaffinity": 0, "mass": 0, "group": 1}
 
 # The trot, found by random search in this simulation at 0.005 s (see the robot's page).
 PACE = 3.19  # Hz
 FEET = (0.09287, -0.51882)  # m, a front foot from its HFE in the default pose
-STRIDE, LIFT = 0.19, 0.168  # m, half the sweep of a foot, its height: soft motors reach about half of both
+STRIDE, LIFT = 0.19, 0.168  # m, half the sweep of a foot, and its height: soft motors reach about half of both
 STAND_TALL, LEAN = 0.0712, -0.017  # m, feet lower than in the default pose, and further back
 SPREAD = 0.0115  # rad, hips inwards
 STRIDE_BY_SPEED = -0.198  # m per m/s
@@ -96,20 +102,20 @@ _PAIR = np.array([0, 1, 1, 0])  # legs that step together
 _REST = tuple(REST[drive] * (1 if drive == "HAA" else LEGS[leg][0]) for drive in DRIVES for leg in LEGS)
 
 
-FEELS = (
+PROPRIOCEPTION = (
     *MOTION, Part("joint angles", 12, "rad", f"less the default pose: {_ORDER}"),
     Part("joint speeds", 12, "rad/s", "in the same order"), Part("last action", 12),
 )  # fmt: skip
 
 
 def anymal(fall_height: float = 0.17, fall_up: float = 0.3, decision: float = 0.02) -> Robot:
-    """A quadruped whose action (12,) moves the joints' targets 0.5 rad per unit from the default pose, never clipped.
+    """Make a quadruped whose action (12,) moves the joints' targets from the default pose, 0.5 rad per unit, unclipped.
 
     It has fallen when its torso's centre of mass is below `fall_height` in metres (HARL-A: 0.17 in block push, 0.10 in
-    matches, a belly on the ground being at 0.099) or its up axis below `fall_up` (HARL-A: -1, no such rule). `decision`
-    is the time in seconds between two actions of the script `trot`.
+    matches; with the belly on the ground it is at 0.099) or its up axis below `fall_up` (HARL-A: -1, no such rule).
+    `decision` is the time in seconds between two actions of the script `trot`.
     """
-    scripts = {"idle": nothing(12), "random": anything(12), "trot": partial(_trot, decision)}
+    scripts = {"idle": idle_script(12), "random": random_script(12), "trot": partial(_trot, decision)}
     return Robot(
         kind="anymal",
         action_size=12,
@@ -121,10 +127,10 @@ def anymal(fall_height: float = 0.17, fall_up: float = 0.3, decision: float = 0.
         rest=_REST,
         command=lambda action: jnp.asarray(_REST) + ACTION_SCALE * action,
         law=torques,
-        proprioception=_feel,
+        proprioception=_proprioception,
         fallen=partial(_fallen, fall_height, fall_up),
         scripts=scripts,
-        proprioception_parts=FEELS,
+        proprioception_parts=PROPRIOCEPTION,
         action_parts=(
             Part("targets", 12, "", f"of the joints, {ACTION_SCALE:g} rad per unit from the default pose: {_ORDER}"),
         ),
@@ -132,17 +138,17 @@ def anymal(fall_height: float = 0.17, fall_up: float = 0.3, decision: float = 0.
 
 
 def torques(angles: Any, speeds: Any, targets: Any) -> Any:
-    """N·m of the twelve motors (..., 12) that draw the joints towards `targets` in rad, as far as speed lets them.
+    """Return torques (..., 12) in N·m that move the joints towards `targets` in rad, limited by effort and speed.
 
-    For arrays of JAX or NumPy.
+    Accepts arrays of JAX or NumPy.
     """
     most = (STALL * (1 - speeds / MAX_SPEED)).clip(0, EFFORT)
     least = (STALL * (-1 - speeds / MAX_SPEED)).clip(-EFFORT, 0)
     return (KP * (targets - angles) - KD * speeds).clip(least, most)
 
 
-def _feel(body: Body) -> Array:
-    """HARL-A's 45 numbers: own velocity and rates, the way down, joints from default, their speeds, the last action."""
+def _proprioception(body: Body) -> Array:
+    """Return HARL-A's 45 numbers: velocity, rates, down direction, joints from default, their speeds, last action."""
     quat = body.pose[3:]
     down = into_body(quat, jnp.array([0.0, 0.0, -1.0]))
     velocity = into_body(quat, body.velocity[:3])
@@ -161,17 +167,17 @@ def _fallen(height: float, up: float, pose: Array) -> Array:
 
 
 def gait(observation: Array, forward: Array | float, turn: Array | float, decision: float) -> Array:
-    """A trotting ANYmal's next action (12,), from an observation whose first 45 numbers are what it feels of itself.
+    """Return a trotting ANYmal's next action (12,); the observation must begin with its 45 proprioceptive numbers.
 
-    `forward` and `turn` are shares of what it can, from -1 (right) to 1 (left) for `turn`; `decision` is the time in
-    seconds until the next action. It reads its velocity, yaw rate and roll to keep its feet under it, and the phase of
-    the gait out of its last action: the hips carry the clock's hands as 0.01 rad. So it needs no memory.
+    `forward` and `turn` are shares of the maximum, `turn` from -1 (right) to 1 (left); `decision` is the time in
+    seconds until the next action. The gait uses velocity, yaw rate and roll for balance. It needs no memory: the last
+    action encodes the phase of the gait as offsets of 0.01 rad at the hips.
     """
     front, left = jnp.asarray(_FRONT), jnp.asarray(_LEFT)
     velocity, yaw_rate, roll, last = observation[:2], observation[5], observation[7], observation[33:37]
     phase = _phase(last) + 2 * jnp.pi * PACE * decision
     mine = phase + jnp.pi * _PAIR
-    sweep = -jnp.cos(mine)  # −1 as a foot lifts off, 1 as it comes down: it is ahead then
+    sweep = -jnp.cos(mine)  # −1 at lift-off, 1 at touch-down, when the foot is ahead
     turning = turn - YAW_DAMPING * yaw_rate
     ahead = forward * STRIDE + STRIDE_BY_SPEED * velocity[0] + left * STRIDE_BY_TURN * turning
     aside = SIDESTEP_BY_SPEED * velocity[1] - front * TURN * turning
@@ -184,12 +190,12 @@ def gait(observation: Array, forward: Array | float, turn: Array | float, decisi
 
 
 def _phase(last: Array) -> Array:
-    """The clock's phase in rad out of the last action (4,) of the hips' abduction: all else in it sums to zero."""
+    """Decode the gait's phase in rad from the hips' last abductions (4,): all other terms in them sum to zero."""
     return jnp.arctan2(jnp.sum(last), jnp.sum(_FRONT * last))
 
 
 def _reach(x: Array, z: Array) -> tuple[Array, Array]:
-    """Angles of a front leg's HFE and KFE that put its foot at (x, z) from HFE, knee behind; any one shape."""
+    """Return angles of a front leg's HFE and KFE that put its foot at (x, z) from HFE, knee behind; any one shape."""
     upper, lower = -SHANK_AT[2], math.hypot(FOOT_AT[0], FOOT_AT[2])
     square = x * x + z * z
     inside = jnp.arccos(jnp.clip((upper**2 + lower**2 - square) / (2 * upper * lower), -1.0, 1.0))
@@ -198,7 +204,7 @@ def _reach(x: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _trot(decision: float, observation: Array, key: Array) -> Array:
-    """Straight ahead as fast as it can."""
+    """Trot straight ahead at full speed."""
     return gait(observation, 1.0, 0.0, decision)
 
 
@@ -242,18 +248,18 @@ def _add_leg(spec: mujoco.MjSpec, base: mujoco.MjsBody, leg: str, colour: Colour
         name=f"{leg}_foot", size=[FOOT_RADIUS, 0, 0], pos=_at(FOOT_AT, f, s), friction=GRIP, solimp=STIFF, priority=1,
         **_TOUCHES,
     )  # fmt: skip
-    # Hips carry no shapes. Thighs lie against the torso and would be pushed off by it when a leg is spread inwards.
+    # Hips carry no shapes. Thighs lie against the torso, which would push them off when a leg moves inwards.
     spec.add_exclude(bodyname1="base", bodyname2=thigh.name)
     _draw_leg(hip, thigh, shank, (f, s), colour)
 
 
 def _at(point: tuple[float, float, float], f: int, s: int) -> list[float]:
-    """A point of the left front leg, mirrored to another."""
+    """Mirror a point of the left front leg to another leg."""
     return [f * point[0], s * point[1], point[2]]
 
 
 def _inertia(link: tuple, f: int, s: int) -> dict:
-    """A link's mass properties, mirrored: products of inertia change sign with each axis that is mirrored."""
+    """Mirror a link's mass properties: products of inertia change sign with each mirrored axis."""
     mass, centre, (xx, yy, zz, xy, xz, yz) = link
     return {
         "mass": mass,
@@ -269,7 +275,7 @@ def _capsule(body: mujoco.MjsBody, name: str, radius: float, ends: tuple, **more
 
 
 def _draw_torso(base: mujoco.MjsBody, colour: Colour) -> None:
-    """What is seen of the torso: a hull in the team's colour, dark ends and sides, a white nose, the lidar's cage."""
+    """Draw the torso: a hull in the team's colour, dark ends and sides, a white nose, the lidar's cage."""
     box, rod, can = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
     for name, kind, size, pos, rgba in (
         ("hull", box, [0.29, 0.11, 0.085], [0, 0, 0], colour),
@@ -287,7 +293,7 @@ def _draw_torso(base: mujoco.MjsBody, colour: Colour) -> None:
 def _draw_leg(
     hip: mujoco.MjsBody, thigh: mujoco.MjsBody, shank: mujoco.MjsBody, mirror: tuple[int, int], colour: Colour
 ) -> None:
-    """Drives at hip and knee, and the limbs between them, along the shapes that touch."""
+    """Draw the drives at hip and knee, and the limbs between them, along the collision shapes."""
     for body, name, radius, ends, rgba in (
         (hip, "hip", 0.06, ((0.0, 0.0, 0.0), (0.0599, 0.05, 0.0)), GREY),
         (thigh, "drive", 0.06, ((0.0, -0.01, 0.0), (0.0, 0.06, 0.0)), DARK),

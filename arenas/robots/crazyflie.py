@@ -11,10 +11,10 @@
 | damping of rates     | 1e-4 N·m·s/rad: turns die within 0.24 s   | chosen: random play spun up for ever         |
 | damping of motion    | 1e-4 N·s/m: 0.4 % of the speed per second | comes with it: one number per free joint     |
 
-With the damping one unit of moment turns the drone at 100 rad/s at most. Whether a touch of the ground ends a flight is
-the game's affair; HARL-A's tank game calls a drone lost at 0.25 m, and so does `fallen` here.
+With this damping one unit of moment turns the drone at 100 rad/s at most. The game decides if touching the ground ends
+a flight; HARL-A's tank game counts a drone at 0.25 m as lost, and so does `fallen` here.
 
-It touches things with two crossed capsules along its arms: four points on the ground, in closed form on every engine.
+Its collision shapes are two crossed capsules along the arms: four points on the ground, in closed form on every engine.
 """
 
 import math
@@ -24,13 +24,13 @@ import jax.numpy as jnp
 import mujoco
 from jax import Array
 
-from arenas.about import Part
-from arenas.robots.robot import MOTION, Body, Colour, Robot, anything, nothing
-from arenas.rotations import into_body
+from arenas.description import Part
+from arenas.robots.robot import MOTION, Body, Colour, Robot, idle_script, random_script
+from arenas.robots.rotations import into_body
 
 MASS = 0.027  # kg
 INERTIA = (2.3951e-5, 2.3951e-5, 3.2347e-5)  # kg·m²
-GRAVITY = 9.81  # m/s², the weight that thrust is measured in
+GRAVITY = 9.81  # m/s², defines the weight as the unit of thrust
 ARM, ROTOR_RADIUS, HEIGHT = 0.046, 0.0225, 0.029  # m
 THRUST_TO_WEIGHT = 1.9
 MOMENT = 0.01  # N·m
@@ -38,18 +38,18 @@ DAMPING = 1e-4  # N·m·s/rad and N·s/m
 LOST_BELOW = 0.25  # m
 
 MAX_THRUST = THRUST_TO_WEIGHT * MASS * GRAVITY  # N
-HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that carries the weight
+HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that balances the weight
 RATE_GAIN, TILT_GAIN, DRIFT_GAIN, CLIMB_GAIN = 0.04, 0.17, 0.15, 0.5  # of `hover`: s/rad, 1, s/m, s/m
 
 WHITE = (0.95, 0.95, 0.92, 1.0)
 
 _ACTUATORS = ("thrust", "roll", "pitch", "yaw")
-_TOUCHES = {"contype": 2, "conaffinity": 3, "mass": 0, "group": 3}  # bits as in arenas.props
+_TOUCHES = {"contype": 2, "conaffinity": 3, "mass": 0, "group": 3}  # bits as in arenas.scene.props
 _DRAWN = {"contype": 0, "conaffinity": 0, "mass": 0, "group": 1}
 
 
 def crazyflie(floor: float = LOST_BELOW) -> Robot:
-    """A drone whose action (4,), each clipped to ±1, is throttle (−1: none, 1: all) and moments about x, y and z.
+    """Make a drone whose action (4,), clipped to ±1, is throttle (−1: none, 1: all) and moments about x, y and z.
 
     `floor`: height in metres at and below which it counts as fallen; negative: never.
     """
@@ -62,9 +62,9 @@ def crazyflie(floor: float = LOST_BELOW) -> Robot:
         rest_height=HEIGHT / 2,
         limp=(-1.0, 0.0, 0.0, 0.0),  # motors off
         command=_command,
-        proprioception=_feel,
+        proprioception=_proprioception,
         fallen=partial(_low, floor),
-        scripts={"idle": nothing(4), "random": anything(4), "hover": _hover},
+        scripts={"idle": idle_script(4), "random": random_script(4), "hover": _hover},
         proprioception_parts=MOTION,
         action_parts=(
             Part("throttle", 1, "", f"thrust: -1 none, 1 all, which is {THRUST_TO_WEIGHT:g} weights; clipped to ±1"),
@@ -78,8 +78,8 @@ def _command(action: Array) -> Array:
     return jnp.concatenate([MAX_THRUST * (a[:1] + 1) / 2, MOMENT * a[1:]])
 
 
-def _feel(body: Body) -> Array:
-    """HARL-A's first nine numbers: velocity, rates and the way down, all in the drone's own frame."""
+def _proprioception(body: Body) -> Array:
+    """Return HARL-A's first nine numbers: velocity, rates and the down direction, all in the drone's own frame."""
     quat = body.pose[3:]
     down = into_body(quat, jnp.array([0.0, 0.0, -1.0]))
     return jnp.concatenate([into_body(quat, body.velocity[:3]), body.velocity[3:], down])
@@ -90,7 +90,7 @@ def _low(floor: float, pose: Array) -> Array:
 
 
 def _hover(observation: Array, key: Array) -> Array:
-    """Brake and stay level, from what it feels: the first nine numbers. Needs decisions at 25 Hz or more."""
+    """Brake and stay level, using the first nine numbers of the observation. Needs decisions at 25 Hz or more."""
     velocity, rates, down = observation[:3], observation[3:6], observation[6:9]
     climb = -jnp.sum(velocity * down)
     roll = TILT_GAIN * (down[1] + DRIFT_GAIN * velocity[1])

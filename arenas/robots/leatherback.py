@@ -12,9 +12,9 @@
 | steering, position    | 5 N·m/rad, 0.3 N·m·s/rad | chosen: settles within a control step or two                 |
 | tyre, chassis friction| 1.0, 0.3                 | f1tenth_gym 1.05; chosen low: rovers slide off each other    |
 
-HARL-A drives the wheels kinematically (damping 1e5); there noses rise in a head-on push, and a push is decided by mass
-alone. The finite torque above leaves the outcome to the driving. Wheels are spheres because every engine has the pair
-sphere-plane; a cylinder is drawn instead. One body holds a wheel's steering and spin joints, so a rover has 12 DoF.
+HARL-A drives the wheels kinematically (damping 1e5): there noses rise in a head-on push, and mass alone decides it. The
+finite torque above lets the driving decide. Wheels are spheres because every engine collides spheres with planes; a
+cylinder is drawn instead. One body holds a wheel's steering and spin joints, so a rover has 12 DoF.
 """
 
 from dataclasses import replace
@@ -23,9 +23,9 @@ import jax.numpy as jnp
 import mujoco
 from jax import Array
 
-from arenas.about import Part
-from arenas.robots.robot import Robot, anything, nothing
-from arenas.rotations import up_z
+from arenas.description import Part
+from arenas.robots.robot import Robot, idle_script, random_script
+from arenas.robots.rotations import up_z
 
 WHEEL_RADIUS = 0.052  # m
 WHEEL_WIDTH = 0.045  # m, drawn only
@@ -58,11 +58,11 @@ def leatherback(
     drive_scale: float = 60.0, steer_scale: float = 0.6, limit: float | None = 1.0, wheel_limit: float | None = None,
     steer_limit: float = MAX_STEERING,
 ) -> Robot:  # fmt: skip
-    """A rover whose action (throttle, steering) means `drive_scale`·a0 rad/s at all wheels, `steer_scale`·a1 rad.
+    """Make a rover whose action (throttle, steering) means `drive_scale`·a0 rad/s at all wheels, `steer_scale`·a1 rad.
 
-    Actions are clipped to ±`limit` first (None: not at all, as HARL-A's rovers, with scales 10 and 0.1), and wheel
-    speeds clamped to ±`wheel_limit` in rad/s after it (None: not at all; HARL-A's 50 has no effect in its sumo).
-    Steering servos are told at most `steer_limit` in rad; wheels turn no further than 0.75 rad, whatever they are told.
+    Actions are first clipped to ±`limit` (None: not at all, as HARL-A's rovers, with scales 10 and 0.1). Wheel speeds
+    are then clamped to ±`wheel_limit` in rad/s (None: not at all; HARL-A's 50 has no effect in its sumo). Steering
+    commands are clamped to `steer_limit` in rad; the joints stop the wheels at 0.75 rad for any command.
     """
 
     def command(action: Array) -> Array:
@@ -83,17 +83,18 @@ def leatherback(
 
 
 def drive_towards(position: Array, speed: Array, last_throttle: Array, backwards: Array | bool = True) -> Array:
-    """Throttle and steering that bring a rover to a position (2,) in its heading frame, in reverse if it lies behind.
+    """Return throttle and steering (2,) towards a position (2,) in the rover's heading frame, in reverse if it is
+    behind.
 
-    Where `backwards` is false it turns round to what lies behind, and is there with its nose first.
+    If `backwards` is false, the rover turns round towards a position behind it and arrives nose first.
 
     In reverse, the angle that brings the rear onto a position has the sign of the angle that brings the nose onto its
-    mirror image in front. A rover only circles round what lies inside its turning circle: it first draws away with the
-    wheels turned the other way, as in a three-point turn, until the position is well outside the circle.
+    mirror image in front. A rover can only circle round a position inside its turning circle. It therefore first drives
+    away with the wheels turned the other way, as in a three-point turn, until the position is well outside the circle.
     """
     x, y = position
     towards = jnp.where((x > -0.3 * jnp.linalg.norm(position)) | jnp.logical_not(backwards), 1.0, -1.0)
-    circle = jnp.where(last_throttle * towards < 0, 0.8, 0.5)  # m, its radius; larger while drawing away
+    circle = jnp.where(last_throttle * towards < 0, 0.8, 0.5)  # m, the circle's radius; larger while driving away
     away = jnp.where(jnp.hypot(x, jnp.abs(y) - circle) < circle, -1.0, 1.0)
     steering = jnp.clip(2.0 * jnp.arctan2(y, jnp.where(backwards, jnp.abs(x), x)), -1.0, 1.0)
     return jnp.stack([away * towards * speed, away * steering])
@@ -109,8 +110,8 @@ def _build(colour: tuple[float, float, float, float]) -> mujoco.MjSpec:
         mass=CHASSIS_MASS, friction=[0.3, 0.005, 0.0001], rgba=colour, **_CHASSIS,
     )  # fmt: skip
     _draw_body(base, colour)
-    # The joints limit the torque, not the actuators: of a saturated actuator MJX in JAX keeps the implicit damping that
-    # C and Warp drop, and its rovers were 4 mm off after 0.1 s. Limits of joints are the same to all three.
+    # The joints limit the torque, not the actuators: for a saturated actuator MJX in JAX keeps the implicit damping
+    # that C and Warp drop, and its rovers were 4 mm off after 0.1 s. All three engines treat limits of joints alike.
     for wheel, (x, y) in WHEELS.items():
         body = base.add_body(name=wheel, pos=[x, y, 0])
         if wheel.startswith("front"):
@@ -136,7 +137,7 @@ def _build(colour: tuple[float, float, float, float]) -> mujoco.MjSpec:
 
 
 def _draw_body(base: mujoco.MjsBody, colour: tuple[float, float, float, float]) -> None:
-    """Shapes that are seen and never touch: a hull, a cabin, a white nose that shows the heading."""
+    """Draw a hull, a cabin and a white nose that shows the heading; none of them collides."""
     dark = [0.10, 0.11, 0.13, 1]
     hull = [CHASSIS_HALF[0], 0.095, 0.03]
     for name, size, pos, rgba in (
@@ -175,5 +176,5 @@ _BODY = Robot(
     proprioception=lambda body: body.action,
     proprioception_parts=(Part("last throttle", 1), Part("last steering", 1)),
     fallen=lambda pose: up_z(pose[3:]) < UPRIGHT,
-    scripts={"idle": nothing(2), "random": anything(2)},
+    scripts={"idle": idle_script(2), "random": random_script(2)},
 )

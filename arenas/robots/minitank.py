@@ -1,7 +1,7 @@
 """MiniTank: a turret of two kinematic joints on a body without drive; it turns on the spot and aims.
 
-HARL-A's asset is not public: nothing but the two joints' names, their drives and the pivot's height can be read from
-its code. All else is assumed here, and marked.
+HARL-A's asset is not public: its code reveals only the two joints' names, their drives and the pivot's height. All
+other values are assumptions and marked as such.
 
 | quantity            | value                                         | source                                      |
 |---------------------|-----------------------------------------------|---------------------------------------------|
@@ -18,11 +18,11 @@ its code. All else is assumed here, and marked.
 | range of the rotor  | none                                          | assumed                                     |
 | friction on ground  | 1.0                                           | HARL-A: ground 1.0 × robot 1.0              |
 
-HARL-A sets each joint's speed target to its speed now plus 0.5·action. Here the target is the actuator's own state, the
-integral of the action within ± the speed limit. As long as the drive holds its target the two are the same. No
-torque limit is set: of a saturated drive the implicit integrator keeps the damping, and the base turned along.
+HARL-A sets each joint's speed target to its current speed plus 0.5·action. Here the target is the actuator's own state,
+the integral of the action within ± the speed limit. Both are the same as long as the drive holds its target. There is
+no torque limit: the implicit integrator keeps the damping of a saturated drive, and the base turned along.
 
-The base touches things with two capsules along x as wide, long and high as the box, the barrel with one.
+Its collision shapes are two capsules along x, together as wide, long and high as the box, and one for the barrel.
 """
 
 from functools import partial
@@ -31,9 +31,9 @@ import jax.numpy as jnp
 import mujoco
 from jax import Array
 
-from arenas.about import Part
-from arenas.robots.robot import Body, Colour, Robot, anything, nothing
-from arenas.rotations import into_body, up_z
+from arenas.description import Part
+from arenas.robots.robot import Body, Colour, Robot, idle_script, random_script
+from arenas.robots.rotations import into_body, up_z
 
 BASE_HALF = (0.15, 0.10, 0.05)  # m
 BASE_MASS, TURRET_MASS, BARREL_MASS = 2.4, 0.3, 0.3  # kg
@@ -46,18 +46,18 @@ ACCELERATION = 0.5 / 0.02  # rad/s² per unit of action
 KV = 1.0  # N·m·s/rad
 ARMATURE = 0.001  # kg·m², assumed
 GRIP = (1.0, 0.005, 0.0001)  # friction
-STIFF = (0.998, 0.998, 0.001, 0.5, 2.0)  # solimp: with MuJoCo's 0.9 a body creeps under a turret that speeds up
+STIFF = (0.998, 0.998, 0.001, 0.5, 2.0)  # solimp: with MuJoCo's 0.9 a body creeps under an accelerating turret
 FALLEN_UP = 0.3  # world z of the up axis, as for rovers
 
 WHITE = (0.95, 0.95, 0.92, 1.0)
 
 JOINTS = ("arm_joint", "rotor_joint")
-_TOUCHES = {"contype": 2, "conaffinity": 3, "group": 3}  # bits as in arenas.props
+_TOUCHES = {"contype": 2, "conaffinity": 3, "group": 3}  # bits as in arenas.scene.props
 _DRAWN = {"contype": 0, "conaffinity": 0, "mass": 0, "group": 1}
 
 
 def minitank(speed_limit: float = SPEED_LIMIT) -> Robot:
-    """A turret whose action (arm, rotor) means 25 rad/s² per unit, up and to the left, up to `speed_limit` in rad/s."""
+    """Make a turret whose action (arm, rotor) means 25 rad/s² per unit, up and left, up to `speed_limit` in rad/s."""
     return Robot(
         kind="minitank",
         action_size=2,
@@ -67,12 +67,12 @@ def minitank(speed_limit: float = SPEED_LIMIT) -> Robot:
         actuators=JOINTS,
         rest_height=BASE_HALF[2],
         command=lambda action: ACCELERATION * action,
-        proprioception=_feel,
+        proprioception=_proprioception,
         fallen=lambda pose: up_z(pose[3:]) < FALLEN_UP,
-        scripts={"idle": nothing(2), "random": anything(2)},
+        scripts={"idle": idle_script(2), "random": random_script(2)},
         proprioception_parts=(
             Part("joint speeds", 2, "rad/s", "arm, rotor: the targets just applied"),
-            Part("barrel", 4, "", "quaternion, w first: the shortest turn from the world's x to where it points"),
+            Part("barrel", 4, "", "quaternion, w first: the shortest rotation from the world's x to its direction"),
         ),
         action_parts=(
             Part("arm", 1, "", f"{ACCELERATION:g} rad/s² upwards per unit, up to {speed_limit:g} rad/s"),
@@ -82,21 +82,23 @@ def minitank(speed_limit: float = SPEED_LIMIT) -> Robot:
 
 
 def aim(pose: Array, angles: Array) -> Array:
-    """Where the barrel points, a unit vector (3,) in the world, from base pose (7,) and joint angles (arm, rotor)."""
+    """Return the barrel's direction, a unit vector (3,) in the world, from base pose (7,) and joint angles (arm,
+    rotor).
+    """
     arm, rotor = angles
     ahead = jnp.stack([jnp.cos(arm) * jnp.cos(rotor), jnp.cos(arm) * jnp.sin(rotor), jnp.sin(arm)])
     return into_body(pose[3:] * jnp.array([1.0, -1.0, -1.0, -1.0]), ahead)
 
 
 def pivot(pose: Array) -> Array:
-    """Where the barrel turns, (3,) m in the world, from base pose (7,)."""
+    """Return the barrel's pivot, (3,) m in the world, from base pose (7,)."""
     return pose[:3] + into_body(pose[3:] * jnp.array([1.0, -1.0, -1.0, -1.0]), jnp.array([0.0, 0.0, PIVOT]))
 
 
 def from_x(direction: Array) -> Array:
-    """The shortest rotation from world +x to a unit vector (3,), as a quaternion (4,) w first: HARL-A's aim.
+    """Return the shortest rotation from world +x to a unit vector (3,), as a quaternion (4,), w first: HARL-A's aim.
 
-    Straight backwards, where every axis would do, it turns about z.
+    For the direction straight backwards, where every axis would do, it turns about z.
     """
     x, y, z = direction
     quat = jnp.stack([jnp.maximum(1.0 + x, 0.0), jnp.zeros(()), -z, y])
@@ -105,8 +107,8 @@ def from_x(direction: Array) -> Array:
     return jnp.where(backwards, jnp.array([0.0, 0.0, 0.0, 1.0]), quat / jnp.where(backwards, 1.0, length))
 
 
-def _feel(body: Body) -> Array:
-    """Six numbers: the joints' speeds, which are the targets just applied, and the barrel's quaternion."""
+def _proprioception(body: Body) -> Array:
+    """Return six numbers: the joints' speeds, which are the targets just applied, and the barrel's quaternion."""
     return jnp.concatenate([body.speeds, from_x(aim(body.pose, body.angles))])
 
 

@@ -1,6 +1,6 @@
-"""Pucks: the smallest robots, for examples, tests and games in the plane. A ball that glides, with two thrusters.
+"""Pucks: the smallest robots, for examples, tests and games in the plane. A gliding ball with two thrusters.
 
-Their thrust is along the world's x and y and does not turn with them, because nothing turns them.
+The thrust acts along the world's x and y, and pucks never turn.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import mujoco
 from jax import Array
 
-from arenas.about import Part
-from arenas.robots.robot import Colour, Robot, anything, nothing
+from arenas.description import Part
+from arenas.robots.robot import Colour, Robot, idle_script, random_script
 
 RADIUS, MASS = 0.1, 1.0  # m, kg
 THRUST, DRAG = 4.0, 2.0  # N, N·s/m: at most 2 m/s
@@ -20,10 +20,10 @@ def puck(
     kind: str = "puck", radius: float = RADIUS, mass: float = MASS, thrust: float = THRUST, drag: float = DRAG,
     *, touches: tuple[int, int] = (1, 1), isotropic: bool = False,
 ) -> Robot:  # fmt: skip
-    """A puck of its own kind: metres, kilograms, newtons for a unit of action, N·s/m.
+    """Make a puck of a kind: metres, kilograms, newtons per unit of action, N·s/m.
 
-    `touches` are its geom's contype and conaffinity. Its action is clipped to ±1 along each axis or, `isotropic`, to a
-    length of 1, so that it is as quick whichever way it goes.
+    `touches` are its geom's contype and conaffinity. Its action is clipped to ±1 along each axis or, if `isotropic`, to
+    a length of 1, so that it is equally fast in all directions.
     """
 
     def build(colour: Colour) -> mujoco.MjSpec:
@@ -40,7 +40,7 @@ def puck(
         return spec
 
     limit: Callable[[Array], Array] = _to_a_disc if isotropic else _to_a_square
-    told = "its length limited to 1" if isotropic else "clipped to ±1"
+    limits = "its length limited to 1" if isotropic else "clipped to ±1"
     return Robot(
         kind=kind,
         action_size=2,
@@ -49,8 +49,8 @@ def puck(
         actuators=("east", "north"),
         rest_height=radius,
         command=limit,
-        action_parts=(Part("thrust", 2, "", f"along the world's x and y, {thrust:g} N per unit, {told}"),),
-        scripts={"idle": nothing(2), "random": anything(2)},
+        action_parts=(Part("thrust", 2, "", f"along the world's x and y, {thrust:g} N per unit, {limits}"),),
+        scripts={"idle": idle_script(2), "random": random_script(2)},
     )
 
 

@@ -1,4 +1,4 @@
-"""What every robot tells the arenas about itself: all that is its own, so that a game need not know its kind."""
+"""Robots as values: all properties of a robot, so that a game need not know its kind."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,59 +9,63 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from arenas.about import Part
+from arenas.description import Part
 
 if TYPE_CHECKING:
     import mujoco
 
 Colour = tuple[float, float, float, float]
-MOTION = (  # what several robots feel first, in words
+MOTION = (  # proprioception that several robots begin with
     Part("velocity", 3, "m/s", "in its own frame"),
     Part("rates", 3, "rad/s", "in its own frame"),
-    Part("down", 3, "", "the way down, a unit vector in its own frame"),
+    Part("down", 3, "", "the down direction, a unit vector in its own frame"),
 )
 Script = Callable[[Array, Array], Array]  # (observation (obs,), key) -> action (act,)
 # A robot's actuation law: (joint angles (joints,), joint speeds (joints,), command (actuators,)) -> ctrl (actuators,).
-# One that also takes NumPy's arrays of many worlds (worlds, joints), ... is applied by the C engine without JAX.
+# The C engine applies a law without JAX if the law also accepts NumPy arrays of many worlds (worlds, joints), ...
 JointLaw = Callable[[Any, Any, Any], Any]
 
 
 class Body(NamedTuple):
-    """One robot as it feels itself, read from qpos and qvel: nothing here lags behind."""
+    """The state of one robot for its own sensing, read from qpos and qvel without delay."""
 
     pose: Array  # (7,) base in the world: x, y, z in metres, quaternion w first
     velocity: Array  # (6,) linear in the world frame, m/s; angular in the base's frame, rad/s
     angles: Array  # (joints,) rad or m, in the robot's own order
     speeds: Array  # (joints,) rad/s or m/s
-    action: Array  # (action_size,) the last one
+    action: Array  # (action_size,) the latest action
 
 
-def as_it_is(action: Array) -> Array:
-    """The command of a robot whose actuators take its action unchanged."""
+def identity_command(action: Array) -> Array:
+    """Return the action as the command, for robots whose actuators take it unchanged."""
     return action
 
 
-def never(pose: Array) -> Array:
-    """The fall rule of what cannot fall."""
+def never_falls(pose: Array) -> Array:
+    """Return () bool False: the fall rule of a robot that cannot fall."""
     return jnp.zeros((), bool)
 
 
-def nothing(action_size: int) -> Script:
-    """The script `idle`: the zero action, always."""
+def idle_script(action_size: int) -> Script:
+    """Make the script `idle`, which always returns the zero action."""
     return lambda observation, key: jnp.zeros(action_size)
 
 
-def anything(action_size: int) -> Script:
-    """The script `random`: every decision a fresh action, uniform within ±1."""
+def random_script(action_size: int) -> Script:
+    """Make the script `random`, which draws a new action in every decision, uniform within ±1."""
     return lambda observation, key: jax.random.uniform(key, (action_size,), minval=-1.0, maxval=1.0)
+
+
+nothing, anything = idle_script, random_script  # former names, kept for one release
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A body, its drives and what an action means. Names are the MJCF's, without the agent's prefix.
+    """A body, its drives and the meaning of its action. Names are the MJCF's, without the agent's prefix.
 
-    A game composes the parts of its robots and asks for no kind. What is left out costs nothing: a robot without `law`
-    is stepped without one, one without `build` has no body at all and only chooses (a player of a matrix game).
+    A game combines the parts of its robots and never asks for a robot's kind. Omitted parts cost nothing: a robot
+    without `law` is stepped without one, a robot without `build` has no body and only chooses (a player of a matrix
+    game).
     """
 
     kind: str
@@ -72,17 +76,17 @@ class Robot:
     actuators: tuple[str, ...] = ()
     rest_height: float = 0.0  # m, base origin above the ground when standing
     rest: tuple[float, ...] = ()  # (joints,) angles when standing; empty: all zero
-    limp: tuple[float, ...] = ()  # (action_size,) the action of one that is out of the game; empty: all zero
-    command: Callable[[Array], Array] = as_it_is  # action (action_size,) -> command (actuators,)
+    limp: tuple[float, ...] = ()  # (action_size,) the action of a robot that is out of the game; empty: all zero
+    command: Callable[[Array], Array] = identity_command  # action (action_size,) -> command (actuators,)
     law: JointLaw | None = None  # applied before every physics substep; None is the identity
-    proprioception: Callable[[Body], Array] | None = None  # what it feels of itself, (n,)
-    fallen: Callable[[Array], Array] = never  # base pose (7,) -> () bool
-    scripts: Mapping[str, Script] = field(default_factory=dict)  # those that need no game: idle, random, ...
-    proprioception_parts: tuple[Part, ...] = ()  # what the numbers that it feels are; empty: they have no names
-    action_parts: tuple[Part, ...] = ()  # what the numbers of its action do; empty: they have no names
+    proprioception: Callable[[Body], Array] | None = None  # sensing of itself, (n,)
+    fallen: Callable[[Array], Array] = never_falls  # base pose (7,) -> () bool
+    scripts: Mapping[str, Script] = field(default_factory=dict)  # scripts that need no game: idle, random, ...
+    proprioception_parts: tuple[Part, ...] = ()  # description of proprioception; empty: its numbers have no names
+    action_parts: tuple[Part, ...] = ()  # description of the action; empty: its numbers have no names
 
     def __post_init__(self) -> None:
-        """A rest pose is of all joints or of none, a limp action of all numbers or of none."""
+        """Check that `rest` covers all joints or none, and `limp` the whole action or none of it."""
         if self.rest and len(self.rest) != len(self.joints):
             raise ValueError(f"robot {self.kind}: rest has {len(self.rest)} angles for {len(self.joints)} joints")
         if self.limp and len(self.limp) != self.action_size:
@@ -91,19 +95,19 @@ class Robot:
             )
 
     @cached_property
-    def feeling(self) -> int:
-        """Numbers in its proprioception."""
+    def proprioception_size(self) -> int:
+        """The size of its proprioception."""
         if self.proprioception is None:
             return 0
         sizes = (7, 6, len(self.joints), len(self.joints), self.action_size)
         return jax.eval_shape(self.proprioception, Body(*(jnp.zeros(size) for size in sizes))).shape[0]
 
     @property
-    def felt(self) -> tuple[Part, ...]:
-        """Its proprioception in words, in one nameless piece where it has no names."""
-        nameless = (Part("proprioception", self.feeling),) if self.feeling else ()
+    def sensed_parts(self) -> tuple[Part, ...]:
+        """The description of its proprioception; a single unnamed part if its numbers have no names."""
+        nameless = (Part("proprioception", self.proprioception_size),) if self.proprioception_size else ()
         return self.proprioception_parts or nameless
 
-    def feels(self, body: Body) -> Array:
-        """Its proprioception (feeling,); none is (0,)."""
+    def observe_self(self, body: Body) -> Array:
+        """Return its proprioception (proprioception_size,); (0,) if it has none."""
         return jnp.zeros(0) if self.proprioception is None else self.proprioception(body)

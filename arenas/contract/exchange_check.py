@@ -1,0 +1,230 @@
+"""Check of teams that an arena declares exchangeable, over an episode of play and by scores.
+
+In each world both teams act by one policy: at random, or by a script that all robots know. Several times per episode,
+and before each decision in which a world ends, the situation is exchanged (`Game.exchange`) and both versions take one
+decision. Then each team must observe and get what the other observed and got in the original. Both versions use the
+default model fields, because the situation is exchanged and not the robots' masses.
+
+The starts of episodes can also favour a side, and exchanges do not reveal that. Therefore scores of one policy against
+itself are counted. If they lean to one side, or only one side has won, more episodes are played, until chance explains
+the lean well or is practically excluded.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from arenas.arena import Arena
+from arenas.contract.check_run import CLOSE, WORLDS, CheckRun, difference
+from arenas.physics.engine import VARIABLE
+from arenas.rosters import bare
+from arenas.state import State, Verdict
+
+EXCHANGES = 8  # per episode, besides those before a decision in which a world ends
+EPISODES = 8  # of WORLDS worlds at most
+MOVED = 1e-4  # m, rad, m/s and rad/s: tolerance for bodies of exchanged worlds after a decision
+P_PLAY_ON, P_UNEQUAL = (
+    0.2,
+    1e-4,
+)  # two-sided p-values: below the first more is played, below the second the sides are unequal
+
+
+class Step(NamedTuple):
+    """One decision of play."""
+
+    before: State
+    actions: dict[str, Array]
+    after: State
+
+
+def exchangeable(arena: Arena) -> bool:
+    """Return whether the teams can change places: the arena declares it, and their agents are equal."""
+    teams = arena.teams
+    return arena.exchangeable and len(teams) == 2 and bare(teams[0].roster) == bare(teams[1].roster)
+
+
+def problem(run: CheckRun) -> str:
+    """Describe why the teams are not exchangeable; empty if nothing shows it."""
+    if not exchangeable(run.arena):
+        return ""
+    mirror, every, last = _ExchangedWorlds(run), max(1, run.arena.timing.decisions // EXCHANGES), run.first
+    for number, (before, actions, after) in enumerate(_play(run, 0)):
+        ends, last = np.asarray(after.done & ~before.done).any(), after
+        if (ends or number % every == 0) and (found := mirror.differs(before, actions)):
+            return found
+    return _scores(run, last)
+
+
+class _ExchangedWorlds:
+    """The worlds of a check run with their teams in each other's places."""
+
+    def __init__(self, run: CheckRun):
+        arena = run.arena
+        blue, red = ([agent.name for agent in team.agents] for team in arena.teams)
+        self.other = dict(zip(blue + red, red + blue, strict=True))
+        self.run = run
+        self._exchange = jax.jit(jax.vmap(arena.exchange))
+        self._see = jax.jit(
+            jax.vmap(lambda state: (arena.alive(state.physics, state.game), _raw_observations(arena, state)))
+        )
+
+    def differs(self, before: State, actions: dict[str, Array]) -> str:
+        """Describe how a decision of the exchanged worlds differs from the original; empty if it does not."""
+        physics, game = before.physics, before.game
+        ours, original = self._place(before, physics.qpos, physics.qvel, game, before.actions)
+        qpos, qvel, exchanged = self._exchange(physics.qpos, physics.qvel, game)
+        theirs, exchanged_back = self._place(before, qpos, qvel, exchanged, self._counterparts(before.actions))
+        going = ~np.asarray(before.done)
+        observations = {
+            f"the observation of {self.other[name]}": (exchanged_back[self.other[name]], original[name])
+            for name in self.other
+        }
+        if found := _difference(observations, going):
+            return found
+        ours, theirs = self.run.act(ours, actions), self.run.act(theirs, self._counterparts(actions))
+        alike = self._moved_alike(ours, theirs) & ~np.asarray(ours.void | theirs.void)
+        return _verdicts(ours.verdict, theirs.verdict, going & alike)
+
+    def _moved_alike(self, ours: State, theirs: State) -> np.ndarray:
+        """Return (WORLDS,) bool: the bodies of both versions moved alike, so their verdicts can be compared.
+
+        MuJoCo's C engine solves contacts in double precision, so its bodies always move alike. The engines of
+        accelerators add in single precision, in the order of the robots, so two versions soon differ after a contact.
+        """
+        if self.run.arena.engine.name not in ("jax", "warp"):
+            return np.ones(WORLDS, bool)
+        qpos, qvel, _ = self._exchange(ours.physics.qpos, ours.physics.qvel, ours.game)
+        pairs = (qpos, theirs.physics.qpos), (qvel, theirs.physics.qvel)
+        return np.all([np.isclose(a, b, MOVED, MOVED).all(1) for a, b in pairs], 0)
+
+    def _counterparts(self, actions: Mapping[str, Array]) -> dict[str, Array]:
+        """Return for each agent the action of its counterpart."""
+        return {name: actions[self.other[name]] for name in self.other}
+
+    def _place(
+        self, like: State, qpos: Array, qvel: Array, game: Any, actions: Mapping[str, Array]
+    ) -> tuple[State, dict[str, Array]]:
+        """Put the worlds into this situation at their current time, with the model's own fields; return them and
+        observations.
+        """
+        arena, every = self.run.arena, jnp.ones(WORLDS, bool)
+        plain = {
+            name: jnp.broadcast_to(jnp.asarray(getattr(arena.scene.model, name), jnp.float32), own.shape)
+            for name, own in like.physics.model.items()
+            if name in VARIABLE
+        }
+        placed = self.run.place(like.physics, qpos, qvel, every, plain)._replace(time=like.physics.time)
+        state = like._replace(physics=placed, game=game, actions=dict(actions))
+        alive, original = self._see(state)
+        return state._replace(alive=alive), original
+
+
+def _raw_observations(arena: Arena, state: State) -> dict[str, Array]:
+    return arena.observe(state.physics, state.game, state.actions)
+
+
+def _verdicts(ours: Verdict, theirs: Verdict, worlds: np.ndarray) -> str:
+    """Describe a verdict in these `worlds` (WORLDS,) bool that one team got and the other team did not after the
+    exchange.
+    """
+    ends = [np.asarray(each.terminated | each.truncated) for each in (ours, theirs)]
+    for name, one, other in (
+        ("the end of the game", ours.terminated, theirs.terminated),
+        ("the cut of the game", ours.truncated, theirs.truncated),
+    ):
+        if found := _difference({name: (other, one)}, worlds):
+            return found
+    terms = {
+        f"{what} {name}": (np.asarray(other)[:, ::-1], one)
+        for what, mine, yours in (
+            ("reward", ours.rewards, theirs.rewards), ("shaping", ours.shapings, theirs.shapings),
+            ("event", ours.events, theirs.events),
+        )
+        for (name, one), other in zip(mine.items(), yours.values(), strict=True)
+    }  # fmt: skip
+    scores = {"the score": (np.asarray(theirs.score)[:, ::-1], ours.score)}
+    return _difference(terms, worlds) or _difference(scores, worlds & ends[0])
+
+
+def _difference(pairs: Mapping[str, tuple[Any, Any]], worlds: np.ndarray) -> str:
+    """Describe the difference between pairs of arrays (WORLDS, ...) in these worlds."""
+    found = difference(
+        {name: np.asarray(one)[worlds] for name, (one, _) in pairs.items()},
+        {name: np.asarray(other)[worlds] for name, (_, other) in pairs.items()},
+        CLOSE,
+    )
+    return f"{found} when the teams change places" if found else ""
+
+
+# Scores --------------------------------------------------------------------------------------------------------------
+
+
+def _scores(run: CheckRun, last: State) -> str:
+    """Describe a side on which one policy scores better than on the other, in ended worlds; empty if there is none."""
+    points: list[float] = []
+    for number in range(1, EPISODES + 1):
+        ended = np.asarray(last.done & ~last.void)
+        points += (np.asarray(last.verdict.score)[ended, 0] - 0.5).tolist()
+        chance, won = sign_test(points), {point > 0 for point in points if point}
+        if chance > P_PLAY_ON and len(won) != 1:
+            return ""
+        if chance < P_UNEQUAL:
+            break
+        if number < EPISODES:
+            last = _last(_play(run, number))
+    if sign_test(points) >= P_UNEQUAL:
+        return ""
+    first, mean = run.arena.teams[0].name, np.mean(points) + 0.5
+    return f"one policy in both teams scores {mean:.0%} as {first} in {len(points)} games: the sides are unequal"
+
+
+def sign_test(points: list[float]) -> float:
+    """Return the two-sided p-value of a sign test that scores lean to neither side; draws are left out."""
+    won, lost = (sum(sign * point > 0 for point in points) for sign in (1, -1))
+    decided, least = won + lost, min(won, lost)
+    tail = sum(math.comb(decided, k) for k in range(least + 1)) / 2**decided
+    return min(1.0, 2.0 * tail)
+
+
+# Play ----------------------------------------------------------------------------------------------------------------
+
+
+def _play(run: CheckRun, number: int) -> Iterator[Step]:
+    """Play an episode in every world, with one policy for both teams of a world."""
+    arena, key = run.arena, jax.random.fold_in(run.key, 1000 + number)
+    decide = _policy(arena)
+    state = run.first if number == 0 else run.reset(jax.random.split(key, WORLDS))
+    for decision in range(arena.timing.decisions):
+        actions = decide(state.observations, jax.random.fold_in(key, decision))
+        after = run.act(state, actions)
+        yield Step(state, actions, after)
+        state = after
+        if bool(state.done.all()):
+            return
+
+
+def _last(steps: Iterator[Step]) -> State:
+    *_, step = steps
+    return step.after
+
+
+def _policy(arena: Arena) -> Any:
+    """Compile actions (WORLDS, act) of all agents: random in one world, by the first script in the next, and so on."""
+    scripts, names = arena.scripts(), arena.playable_scripts(arena.teams[0])
+    turn = jnp.arange(WORLDS) % (1 + len(names))
+
+    def decide(observations: dict[str, Array], key: Array) -> dict[str, Array]:
+        found = {}
+        for agent, own in zip(arena.agents, jax.random.split(key, len(arena.agents)), strict=True):
+            keys = jax.random.split(own, WORLDS)
+            choices = [jax.random.uniform(own, (WORLDS, agent.action_size), minval=-1.0)]
+            choices += [jax.vmap(scripts[name][agent.kind])(observations[agent.name], keys) for name in names]
+            found[agent.name] = jnp.stack(choices)[turn, jnp.arange(WORLDS)]
+        return found
+
+    return jax.jit(decide)

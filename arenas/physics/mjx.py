@@ -1,0 +1,120 @@
+"""MuJoCo XLA: the engine of accelerators, in JAX or in Warp kernels."""
+
+import copy
+from collections.abc import Callable
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import mujoco
+from jax import Array
+from mujoco import mjx
+
+from arenas.arena_settings import Solver
+from arenas.physics.engine import DYNAMICS, Engine, Physics, keep_apart_from_fusion, no_cause
+from arenas.physics.void_causes import Cause
+
+# Warp's overflow bits for dropped contacts or rows, by cause: NEFC and NJMAX_NNZ; BROADPHASE; NARROWPHASE and CCD,
+# whose convex pairs have as many slots as the contact pool; HFIELD, CONTACT_MATCH, NVMAX and EPA_HORIZON. Higher bits
+# only report that the solver used all its iterations, which happens sometimes in single precision (1.4 of 1,000
+# decisions of pushers); the C engine does not stop for that either.
+OVERFLOW_BITS = {Cause.ROWS: 0x003, Cause.PAIRS: 0x004, Cause.CONTACTS: 0x018, Cause.BUFFERS: 0x1E0}
+
+
+class MjxEngine(Engine):
+    """MuJoCo XLA. `worlds`, the maximum number stepped together, sizes Warp's contact pool."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        derived: tuple[str, ...] = (),
+        *,
+        impl: Literal["jax", "warp"],
+        worlds: int = 1,
+        buffers: Solver | None = None,
+    ):
+        super().__init__(model, derived)
+        self.buffers, self.worlds = buffers or Solver(), worlds
+        self.name = impl
+        self._stepped = _with_box_collider(model) if impl == "warp" else model
+        self._mjx = mjx.put_model(self._stepped, impl=impl)
+        self._buffers: dict[str, int] = {}
+        if impl == "warp":
+            # One contact pool serves all worlds. Overflow is read below and voids the episode, so it need not be
+            # printed.
+            self._mjx = self._mjx.tree_replace({"opt._impl.warn_overflow": 0})
+            self._buffers = {"naconmax": self.buffers.slots(worlds), "njmax": self.buffers.rows}
+            self._of_one = {"contacts": self.buffers.contacts, "rows": self.buffers.rows}
+
+    def prepare(self) -> Callable[[], None]:
+        """Start to load Warp's kernels."""
+        if self.name != "warp":
+            return super().prepare()
+        from arenas.physics import warp_kernels  # Warp is an optional dependency
+
+        return warp_kernels.start_loading(self._stepped, ["step", *self._refresh], **self._of_one)
+
+    @property
+    def _refresh(self) -> list[str]:
+        """The function of MJX and Warp that fills the derived fields; empty if there are none."""
+        if not self.derived:
+            return []
+        return ["forward" if set(self.derived) & set(DYNAMICS) else "kinematics"]
+
+    def _carry(self, qpos: Array, qvel: Array, ctrl: Array, warmstart: Array, act: Array) -> Any:
+        data = mjx.make_data(self.model, impl=self.name, **self._buffers)
+        return data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl, qacc_warmstart=warmstart, act=act)
+
+    def _warm(self, carry: Any) -> tuple[Array, Array]:
+        return carry.qacc_warmstart, carry.act
+
+    def _own(self, physics: Physics) -> mjx.Model:
+        """Return the model with this world's own fields."""
+        return self._mjx.replace(**physics.model) if physics.model else self._mjx
+
+    def _substeps(self, physics: Physics, ctrl: Array, n: int) -> Physics:
+        model, data = self._own(physics), physics.carry.replace(ctrl=ctrl)
+        causes = physics.causes
+        for _ in range(n):
+            data = mjx.step(model, data)
+            if self.name == "warp":
+                causes |= overflow_causes(data._impl.overflow)
+        qpos, qvel = keep_apart_from_fusion(data.qpos, data.qvel)
+        return physics._replace(qpos=qpos, qvel=qvel, ctrl=ctrl, causes=causes, carry=data)
+
+    def _place(self, carry: Any, qpos: Array, qvel: Array, where: Array) -> Any:
+        if self.name == "warp":  # Warp never clears overflow bits itself
+            overflow = jnp.where(where, 0, carry._impl.overflow)
+            carry = carry.tree_replace({"_impl.overflow": overflow})
+        return carry.replace(
+            qpos=qpos,
+            qvel=qvel,
+            qacc_warmstart=jnp.where(where, 0.0, carry.qacc_warmstart),
+            act=jnp.where(where, 0.0, carry.act),
+            ctrl=jnp.where(where, 0.0, carry.ctrl),
+        )
+
+    def _derive(self, physics: Physics) -> Physics:
+        if not self._refresh:
+            return physics
+        data = getattr(mjx, *self._refresh)(self._own(physics), physics.carry)
+        values = keep_apart_from_fusion(*(getattr(data, name) for name in self.derived))
+        return physics._replace(carry=data, **dict(zip(self.derived, values, strict=True)))
+
+
+def overflow_causes(overflow: Array) -> Array:
+    """Convert Warp's overflow bits of a world to () uint8, bits of arenas.physics.void_causes."""
+    found = no_cause()
+    for cause, mask in OVERFLOW_BITS.items():
+        found |= jnp.any(overflow & mask != 0).astype(jnp.uint8) * jnp.uint8(cause)
+    return found
+
+
+def _with_box_collider(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return the model for Warp with box-box collisions by the function for boxes, as in C.
+
+    The flag has no other effect there (mujoco_warp's `collision_driver`): without it two boxes collide as any two
+    convex bodies.
+    """
+    model = copy.copy(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    return model

@@ -1,0 +1,1 @@
+"""Scenes: MuJoCo models with robots and props, start poses, domain randomisation."""
