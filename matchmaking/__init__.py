@@ -1,1 +1,1 @@
-"""Who should meet whom, and who is better: pure functions of the match log, in numpy."""
+"""Robot League's matchmaking: opponents, matches and ratings as pure functions of the match log, in NumPy."""

@@ -1,9 +1,9 @@
-"""Roles: what kind of player a learning lineage is. A role is a record; its behaviour is in the values it holds.
+"""Roles of players: kinds of learning lineages. A role is a record; its behaviour follows from its values.
 
-The roles and what ends their lives are AlphaStar's (Vinyals et al. 2019, "Grandmaster level in StarCraft II using
-multi-agent reinforcement learning", Methods and published pseudocode: `MainPlayer`, `MainExploiter`,
-`LeagueExploiter`). A *life* of a player begins with its newest snapshot. It ends when the player surely beats whom it
-meets, or has learnt for so many steps in it: then the player is frozen, and after that it may begin anew.
+The roles and their resets are AlphaStar's (Vinyals et al. 2019, "Grandmaster level in StarCraft II using multi-agent
+reinforcement learning", Methods and published pseudocode: `MainPlayer`, `MainExploiter`, `LeagueExploiter`). A
+*generation* of a player begins with its newest snapshot. It ends when the player surely beats all its opponents, or
+after a number of steps: then a snapshot of the player is taken, and after that the player may be reset.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,37 +14,39 @@ from zlib import crc32
 import numpy as np
 
 from matchmaking.opponents import Opponents
+from storage.records import Snapshot
 
 Reset = Literal["never", "initial", "main"]
 
 
 @dataclass(frozen=True)
 class Role:
-    """A kind of player: whom it learns against, when it is frozen, and whether it begins anew after that."""
+    """A kind of player: its opponents, when a snapshot is taken, and whether it is reset after that."""
 
     name: str
-    """As players name it. main, main_exploiter, league_exploiter and fixed are there already: what a table of that name
-    leaves out is as it was. In a role of another name it is as in main."""
+    """Name used by players. main, main_exploiter, league_exploiter and fixed are built in: a table of such a name
+    changes only the fields that it gives. A role of another name starts from main's values."""
 
     opponents: Opponents | None = None
-    """Whom its players learn against (none: as training.opponents says)."""
+    """Opponents of its players while they learn (none: training.opponents)."""
 
     meets: tuple[str, ...] | None = None
     """Roles whose players' snapshots they meet (none: all)."""
 
     win_rate: float | None = None
-    """It is frozen when it surely scores more than this against each whom it meets, 0 to 1: when the 95 % interval of
-    each of its win rates begins above it; and when `timeout` is over all the same."""
+    """Take a snapshot when it scores more than this, 0 to 1, against each opponent, with 95 % confidence for each; and
+    at `timeout` in any case."""
 
     timeout: int | None = None
-    """It is frozen after so many environment steps, 1 or more (none, and no win_rate: on the axis 1, 2, 4, ...)."""
+    """Take a snapshot after so many environment steps, 1 or more (none, and no win_rate: after iterations 1, 2, 4,
+    ...)."""
 
     reset: Reset | None = None
-    """From what it goes on when it was frozen: never (from itself), initial (from its own first policy, with all else
-    fresh), main (from the newest snapshot of a main player of its team)."""
+    """Continuation after a snapshot: never (go on learning), initial (from its own first policy, with everything else
+    new), main (from the newest snapshot of a main player of its team)."""
 
     reset_chance: float | None = None
-    """How likely it is that this happens, 0 to 1 (none: it always does)."""
+    """Probability of the reset, 0 to 1 (none: always)."""
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -61,60 +63,66 @@ class Role:
             raise ValueError(f"reset: choose one of {', '.join(get_args(Reset))}")
 
     @property
-    def has_lives(self) -> bool:
-        """Whether it is frozen by a rule of its own instead of on the axis of the league."""
+    def has_generations(self) -> bool:
+        """True if snapshots follow a rule of its own instead of the league's axis."""
         return self.win_rate is not None or self.timeout is not None
 
     @property
-    def begins_anew(self) -> bool:
-        """Whether a life may end with a reset."""
+    def can_reset(self) -> bool:
+        """True if a generation may end with a reset."""
         return self.reset in ("initial", "main")
 
     @property
     def learns(self) -> bool:
-        """Whether its players ever learn."""
+        """True if its players ever learn."""
         return self.name != FIXED.name
 
     def reset_after(self, seed: int, player: str, iteration: int) -> bool:
-        """Whether the player begins anew after the snapshot of that iteration: the same answer whenever it is asked."""
-        dice = np.random.default_rng([seed, iteration, crc32(f"{player}/reset".encode())])
-        return self.begins_anew and dice.random() < (1.0 if self.reset_chance is None else self.reset_chance)
+        """Return True if the player is reset after the snapshot of that iteration; repeated calls agree."""
+        rng = np.random.default_rng([seed, iteration, crc32(f"{player}/reset".encode())])
+        return self.can_reset and rng.random() < (1.0 if self.reset_chance is None else self.reset_chance)
+
+    def last_reset(self, seed: int, player: str, history: Sequence[Snapshot]) -> Snapshot | None:
+        """Return the snapshot after which the player was last reset, or None; `history` are its own, oldest first."""
+        resets = (s for s in reversed(history) if not s.initial and self.reset_after(seed, player, s.iteration))
+        return next(resets, None)
 
 
 MAIN = Role("main")
-"""Meets whoever `training.opponents` says."""
+"""Meets the opponents of `training.opponents`."""
 
 MAIN_EXPLOITER = Role("main_exploiter", Opponents("exploit"), ("main",), 0.7, 1_000_000, "initial")
-"""Looks for what main players cannot do. AlphaStar's ends its life at 70 % or after 4e9 steps."""
+"""Searches for weaknesses of main players. AlphaStar resets it at a win rate of 70 % or after 4e9 steps."""
 
 LEAGUE_EXPLOITER = Role(
     "league_exploiter", Opponents("pfsp", weighting="linear_capped"), None, 0.7, 500_000, "initial", 0.25
 )
-"""Looks for what nobody can do. AlphaStar's ends its life at 70 % or after 2e9 steps, and begins anew in a quarter."""
+"""Searches for weaknesses of all players. AlphaStar ends a generation at 70 % or after 2e9 steps, and resets a
+quarter."""
 
 FIXED = Role("fixed")
-"""Never learns: it stays the policy that it began with. Scripts and imported policies are told to be fixed too."""
+"""Never learns: it keeps its first policy. Scripts and imported policies have this role too."""
 
 BUILT_IN: Mapping[str, Role] = {role.name: role for role in (MAIN, MAIN_EXPLOITER, LEAGUE_EXPLOITER, FIXED)}
 
 
-def role_named(name: str, declared: Sequence[Role], otherwise: Opponents) -> Role:
-    """The role of that name: as it is declared, else built in, else as main; its opponents filled in.
+def role_named(name: str, declared: Sequence[Role], default_opponents: Opponents) -> Role:
+    """Return the role of that name: as declared, or built in, or as main; with its opponents filled in.
 
     Args:
         name: as in a player's row.
-        declared: a league's own records; what is None in one is as in the built-in role of its name.
-        otherwise: whom players meet whose role does not say it.
+        declared: a league's own records; None fields are as in the built-in role of that name.
+        default_opponents: for roles without opponents.
     """
     base = BUILT_IN.get(name, replace(MAIN, name=name))
     for own in (role for role in declared if role.name == name):
         said = {each.name: value for each in fields(own) if (value := getattr(own, each.name)) is not None}
         base = replace(base, **said)
-    return base if base.opponents is not None else replace(base, opponents=otherwise)
+    return base if base.opponents is not None else replace(base, opponents=default_opponents)
 
 
 def check_roles(declared: Sequence[Role], used: Sequence[str]) -> None:
-    """Refuse what contradicts itself: ValueError, which says who and why.
+    """Raise ValueError, naming role and reason, if roles contradict themselves.
 
     Args:
         declared: a league's own records.
@@ -122,14 +130,14 @@ def check_roles(declared: Sequence[Role], used: Sequence[str]) -> None:
     """
     known = [*BUILT_IN, *(role.name for role in declared if role.name not in BUILT_IN)]
     for i, role in enumerate(declared):
-        whole = role_named(role.name, declared, Opponents())
+        resolved = role_named(role.name, declared, Opponents())
         if any(other.name == role.name for other in declared[:i]):
             raise ValueError(f"roles: two are called {role.name}; give each a name of its own")
         if missing := [name for name in role.meets or () if name not in known]:
             raise ValueError(f"roles: {role.name} meets {missing[0]}, and there are {', '.join(known)}")
-        if whole.win_rate is not None and whole.timeout is None:
+        if resolved.win_rate is not None and resolved.timeout is None:
             raise ValueError(f"roles: {role.name} has a win_rate and no timeout, and may never reach it; give it one")
-        if whole.begins_anew and not whole.has_lives:
+        if resolved.can_reset and not resolved.has_generations:
             raise ValueError(f"roles: {role.name} has a reset, and no timeout after which it would happen; give it one")
     for name in used:
         if name not in known:
@@ -137,5 +145,5 @@ def check_roles(declared: Sequence[Role], used: Sequence[str]) -> None:
 
 
 def is_exploiter(role: str) -> bool:
-    """Whether a player of that role looks for others' weaknesses: main_exploiter, league_exploiter and the like."""
+    """Return True for roles that search for others' weaknesses: main_exploiter, league_exploiter and the like."""
     return "exploiter" in role

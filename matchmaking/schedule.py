@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
-from matchmaking.payoff import Score, score_interval
+from matchmaking.ratings.payoff import Score, score_interval
 from storage.records import Phase
 
 Kind = Literal["simultaneous", "leapfrog", "ladder", "frozen"]
@@ -13,25 +13,25 @@ Kind = Literal["simultaneous", "leapfrog", "ladder", "frozen"]
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which teams learn: all of them, one after the other, or one alone, whom the others copy now and then or never."""
+    """Learning teams: all of them, one after the other, or one alone that the others copy now and then or never."""
 
     kind: Kind = "simultaneous"
     """simultaneous: every team learns; leapfrog: the teams take turns; ladder: only `learner` learns, and after each
     period the other teams take over its policies; frozen: only `learner` ever learns."""
 
     period: int = 50
-    """Leapfrog: learning iterations in a team's turn. Ladder: between two copies."""
+    """Leapfrog: learning iterations in a team's turn. Ladder: learning iterations between two copies."""
 
     period_steps: int | None = None
-    """The same in environment steps (decisions × worlds), as HARL counts: it ends after the first iteration by which
-    the team has learnt in it from so many (none: by `period`)."""
+    """Period in environment steps (decisions × worlds), as HARL counts: it ends after the iteration in which the team
+    reaches so many steps (none: by `period`)."""
 
     until_score: float | None = None
-    """Leapfrog: a team's turn also ends as soon as it surely scores more than this (none: only by period): when the
-    95 % interval of its score in training begins above it, over the turn's newest iterations of 500 episodes in all."""
+    """Leapfrog: a team's turn also ends once it scores more than this with 95 % confidence (none: only by period). The
+    score is that of training, over the turn's newest iterations of 500 episodes in all."""
 
     learner: int = 0
-    """The team that learns first (leapfrog) or alone (ladder, frozen), counted from 0."""
+    """Number of the team that learns first (leapfrog) or alone (ladder, frozen), from 0."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -48,34 +48,35 @@ class Schedule:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
 
     @property
-    def adds_up(self) -> bool:
-        """Whether a group has learnt for the sum of its players' own counts of steps and seconds, which grow in turn.
+    def sums_counts(self) -> bool:
+        """True if a group has learnt for the sum of its players' counts of steps and seconds, which grow in turn.
 
-        Else for the largest: they grow together, or are the learner's that were copied.
+        Otherwise the largest count holds: they grow together, or are copies of the learner's.
         """
         return self.kind in ("leapfrog", "frozen")
 
 
-class Learnt(NamedTuple):
-    """How much a player has learnt, by its own counts: they grow only while it learns."""
+class LearningCounts(NamedTuple):
+    """Amount that a player has learnt, by its own counts: they grow only while it learns."""
 
     iterations: int = 0
     steps: int = 0  # environment steps: decisions × worlds
-    low: float = 0.0  # the lower end of its score's interval in the turn that is under way, see `turn_score`
+    low: float = 0.0  # lower end of its score's interval in the current turn, see `turn_score`
 
 
-WINDOW = 500  # episodes: a score of 0.7 over so many is known to ± 0.04
+WINDOW = 500  # episodes: they give a score of 0.7 to ± 0.04
 
 
 def turn_score(results: Sequence[tuple[float, float]]) -> Score:
-    """A learner's score of late, with its 95 % interval, by the episodes that ended and their mean score.
+    """Return a learner's recent score, with its 95 % interval, from finished episodes and their mean score.
 
     Args:
-        results: (episodes, score) of each iteration of its turn, oldest first. The newest of them that have WINDOW
-            episodes in all are looked at, for the policy of before is another; all where there are fewer.
+        results: (episodes, score) of each iteration of its turn, oldest first. Only the newest with WINDOW episodes in
+            all
+            count, because the policy before was another; all count if there are fewer.
 
-    Every game counts as decisive, which makes the interval wider where some are drawn. It is one of a single look: a
-    turn in which it is looked at after each iteration ends a little early now and then, as early as its luck has it.
+    Every game counts as decisive, which makes the interval wider if some are drawn. The interval holds for a single
+    look: checked after each iteration, a turn now and then ends a little early by chance.
     """
     episodes = points = 0.0
     for number, score in reversed(results):
@@ -87,46 +88,58 @@ def turn_score(results: Sequence[tuple[float, float]]) -> Score:
 
 
 def first_phase(
-    schedule: Schedule, league: str, group: str, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+    schedule: Schedule, league: str, group: str, available: Mapping[int, str], learnt: Mapping[str, LearningCounts]
 ) -> Phase:
-    """The phase in which a group of players begins.
+    """Return the first phase of a group of players.
 
     Args:
-        schedule: who learns when.
+        schedule: which team learns when.
         league: the league's name.
         group: the name of the group whose players learn together.
-        able: team -> the group's player in it; a player that is paused is left out, and so never learns.
-        learnt: player -> how much it has learnt by now, for every player of the group, paused or not.
+        available: team -> the group's player in it; paused players are left out, and so never learn.
+        learnt: player -> its counts so far, for every player of the group, paused or not.
     """
-    return _phase(schedule, league, group, 0, able, learnt, _counted(schedule, None, able, learnt))
+    return _phase(schedule, league, group, 0, available, learnt, _timed_learner(schedule, None, available, learnt))
 
 
-def next_phase(schedule: Schedule, phase: Phase, able: Mapping[int, str], learnt: Mapping[str, Learnt]) -> Phase | None:
-    """The phase that follows now; None while `phase` goes on. Arguments are those of `first_phase`.
+def current_phase(
+    schedule: Schedule, league: str, group: str, phase: Phase | None, available: Mapping[int, str],
+    learnt: Mapping[str, LearningCounts],
+) -> Phase:  # fmt: skip
+    """Return the phase that a group is in: its newest, `phase`, or the first or next phase. Arguments are as below."""
+    if phase is None:
+        return first_phase(schedule, league, group, available, learnt)
+    return next_phase(schedule, phase, available, learnt) or phase
 
-    A phase ends by what its `until` says, when one of its learners is paused, and when the schedule no longer fits it,
-    be it that a paused player goes on or that the settings were changed. In leapfrog the turn passes to the next team;
-    a learner that can go on no longer hands over to whoever has learnt least. In ladder the same team learns on; the
-    end of a phase is when the others take over its policies. Where nobody can learn, the phase that follows has no
-    learners, and lasts until somebody can.
+
+def next_phase(
+    schedule: Schedule, phase: Phase, available: Mapping[int, str], learnt: Mapping[str, LearningCounts]
+) -> Phase | None:
+    """Return the phase that follows now, or None while `phase` continues. Arguments are those of `first_phase`.
+
+    A phase ends when its `until` is reached, when one of its learners is paused, and when the schedule no longer fits
+    it, because a paused player continues or the settings changed. In leapfrog the turn passes to the next team; a
+    learner that cannot continue hands over to the player with the smallest counts. In ladder the same team keeps
+    learning; at the end of a phase the others take over its policies. If no player can learn, the following phase has
+    no learners, and lasts until one can.
     """
-    counted = _counted(schedule, phase, able, learnt)
-    if (counted,) == phase.learners and remaining(phase, learnt):
-        return None  # its turn goes on
-    following = _phase(schedule, phase.league, phase.group, phase.number + 1, able, learnt, counted)
+    timed_learner = _timed_learner(schedule, phase, available, learnt)
+    if (timed_learner,) == phase.learners and remaining(phase, learnt):
+        return None  # its turn continues
+    following = _phase(schedule, phase.league, phase.group, phase.number + 1, available, learnt, timed_learner)
     lasts = not following.until and not phase.until
     return None if lasts and following.learners == phase.learners else following
 
 
-def remaining(phase: Phase, learnt: Mapping[str, Learnt]) -> int | None:
-    """How much the phase's one learner still has to learn, by its own counts; None where nothing is counted.
+def remaining(phase: Phase, learnt: Mapping[str, LearningCounts]) -> int | None:
+    """Return what the phase's one learner still has to learn, by its own counts; None if nothing is counted.
 
-    In environment steps where `phase.until` names a step, else in iterations; nothing once it scores what is asked.
+    In environment steps if `phase.until` names a step, else in iterations; 0 once its score suffices.
     """
     if not phase.until:
         return None
     (learner,) = phase.learners
-    now = learnt.get(learner, Learnt())
+    now = learnt.get(learner, LearningCounts())
     if now.low > phase.until.get("score", 1.0):
         return 0
     if "step" in phase.until:
@@ -134,52 +147,59 @@ def remaining(phase: Phase, learnt: Mapping[str, Learnt]) -> int | None:
     return max(0, phase.since.get(learner, 0) + phase.until["iterations"] - now.iterations)
 
 
-def _counted(
-    schedule: Schedule, phase: Phase | None, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+def _timed_learner(
+    schedule: Schedule, phase: Phase | None, available: Mapping[int, str], learnt: Mapping[str, LearningCounts]
 ) -> str | None:
-    """Who learns until a count is reached, in a schedule that has such phases, if anybody can."""
+    """Return the player that learns until a count is reached, in schedules with such phases, if any can."""
     match schedule.kind:
         case "leapfrog":
-            return _leaper(schedule, phase, able, learnt)
+            return _leapfrog_learner(schedule, phase, available, learnt)
         case "ladder":
-            return able.get(schedule.learner)
+            return available.get(schedule.learner)
         case "simultaneous" | "frozen":
             return None
 
 
-def _leaper(
-    schedule: Schedule, phase: Phase | None, able: Mapping[int, str], learnt: Mapping[str, Learnt]
+def _leapfrog_learner(
+    schedule: Schedule, phase: Phase | None, available: Mapping[int, str], learnt: Mapping[str, LearningCounts]
 ) -> str | None:
-    """Whose turn it is in leapfrog, if anybody can learn."""
-    if phase is None or not phase.until:  # the first one, another schedule's, or one of nobody: begin
-        return able.get(_next_team(schedule.learner, able))
-    now = next((team for team, player in able.items() if player in phase.learners), None)
+    """Return the player whose turn it is in leapfrog, if any can learn."""
+    if phase is None or not phase.until:  # the first phase, one of another schedule, or one without learners
+        return available.get(_next_team(schedule.learner, available))
+    now = next((team for team, player in available.items() if player in phase.learners), None)
     if now is None:
-        order = sorted(able, key=lambda team: (learnt.get(able[team], Learnt()), team < schedule.learner, team))
-        return able[order[0]] if order else None
-    return able[now] if remaining(phase, learnt) else able[_next_team(now + 1, able)]
+        order = sorted(
+            available, key=lambda team: (learnt.get(available[team], LearningCounts()), team < schedule.learner, team)
+        )
+        return available[order[0]] if order else None
+    return available[now] if remaining(phase, learnt) else available[_next_team(now + 1, available)]
 
 
 def _phase(
-    schedule: Schedule, league: str, group: str, number: int, able: Mapping[int, str], learnt: Mapping[str, Learnt],
-    counted: str | None,
-) -> Phase:  # fmt: skip
-    """A phase that begins now; in leapfrog and ladder `counted` learns, if anybody can."""
+    schedule: Schedule,
+    league: str,
+    group: str,
+    number: int,
+    available: Mapping[int, str],
+    learnt: Mapping[str, LearningCounts],
+    timed_learner: str | None,
+) -> Phase:
+    """Return a phase that begins now; in leapfrog and ladder `timed_learner` learns, if there is one."""
     match schedule.kind:
         case "simultaneous":
-            learners = tuple(able[team] for team in sorted(able))
+            learners = tuple(available[team] for team in sorted(available))
         case "frozen":
-            learners = (able[schedule.learner],) if schedule.learner in able else ()
+            learners = (available[schedule.learner],) if schedule.learner in available else ()
         case "leapfrog" | "ladder":
-            learners = () if counted is None else (counted,)
-    until = {} if counted is None else _until(schedule, learnt.get(counted, Learnt()))
+            learners = () if timed_learner is None else (timed_learner,)
+    until = {} if timed_learner is None else _until(schedule, learnt.get(timed_learner, LearningCounts()))
     return Phase(league, group, number, learners, {name: each.iterations for name, each in learnt.items()}, until)
 
 
-def _until(schedule: Schedule, start: Learnt) -> dict[str, float]:
-    """What ends a turn that begins now: so many iterations after `start`, or the step that its player then reaches.
+def _until(schedule: Schedule, start: LearningCounts) -> dict[str, float]:
+    """Return the end of a turn that begins now: a number of iterations after `start`, or the step that is then reached.
 
-    And, where the schedule has one, a score, whichever comes first.
+    Also a score, if the schedule has one; whichever comes first.
     """
     score = {} if schedule.until_score is None else {"score": schedule.until_score}
     if schedule.period_steps is None:
@@ -187,16 +207,16 @@ def _until(schedule: Schedule, start: Learnt) -> dict[str, float]:
     return {"step": start.steps + schedule.period_steps, **score}
 
 
-def _next_team(start: int, able: Mapping[int, str]) -> int:
-    """The first team from `start` on, counted round, that has somebody who can learn; -1 without any."""
-    return min(able, key=lambda team: (team < start, team), default=-1)
+def _next_team(start: int, available: Mapping[int, str]) -> int:
+    """Return the first team from `start` on, cyclically, that has an available player; -1 if there is none."""
+    return min(available, key=lambda team: (team < start, team), default=-1)
 
 
 def next_due(iteration: int, per_doubling: int = 1) -> int:
-    """The first iteration after `iteration` at which a snapshot is due: ⌊2^(m/r)⌉ for whole m, r = `per_doubling`.
+    """Return the first iteration after `iteration` at which a snapshot is due: ⌊2^(m/r)⌉, m whole, r = `per_doubling`.
 
-    With r = 1 these are 1, 2, 4, 8, ...: learning is fast at first, and a history of n iterations is told by about
-    r log2(n) snapshots. The initial snapshot is iteration 0.
+    With r = 1 these are 1, 2, 4, 8, ...: learning is fast at first, and about r log2(n) snapshots cover a history of n
+    iterations. The initial snapshot is iteration 0. Raises ValueError for r below 1.
     """
     if per_doubling < 1:
         raise ValueError(f"per_doubling is {per_doubling}; it must be 1 or more")

@@ -1,4 +1,4 @@
-"""The rules: probabilities over a list of snapshots, ordered from oldest to newest."""
+"""Published rules of opponent sampling: probabilities over a list of snapshots, ordered from oldest to newest."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,43 +15,43 @@ _WEIGHTINGS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "linear_capped": lambda x: np.minimum(0.5, 1 - x),
 }
 
-BEATEN_TOO_SELDOM = 0.3
-"""AlphaStar: a learner that wins no more often than this learns from the opponent's past instead."""
+WEAK_BELOW = 0.3
+"""AlphaStar: a learner that wins no more often than this meets the opponent's past instead."""
 
-BEATEN = 0.7
-"""AlphaStar: a past main player is forgotten where the learner wins less often than this."""
+FORGOTTEN_BELOW = 0.7
+"""AlphaStar: a past main player counts as forgotten if the learner wins less often than this."""
 
-TOO_STRONG = 0.1
-"""A main player that is beaten no more often than this is too strong for an exploiter to learn from it."""
+TOO_STRONG_BELOW = 0.1
+"""A main player that is beaten no more often than this is too strong for an exploiter to learn from."""
 
-AHEAD, SELF_PLAY, VERIFICATION = 0.5, 0.35, 0.15
-"""AlphaStar: how a main player's games are shared out."""
+PFSP_SHARE, SELF_PLAY_SHARE, VERIFICATION_SHARE = 0.5, 0.35, 0.15
+"""AlphaStar: shares of a main player's games."""
 
 
 def latest(n: int) -> np.ndarray:
-    """(n,) All weight on the newest of n snapshots."""
-    return np.eye(positive(n))[-1]
+    """Return all weight (n,) on the newest of n snapshots."""
+    return np.where(np.arange(checked_count(n)) == n - 1, 1.0, 0.0)
 
 
 def uniform(n: int) -> np.ndarray:
-    """(n,) The same weight for every snapshot: fictitious self-play over the whole history."""
+    """Return equal weights (n,): fictitious self-play over the whole history."""
     return delta_uniform(n, 0.0)
 
 
 def delta_uniform(n: int, delta: float) -> np.ndarray:
-    """(n,) Uniform over the newest share 1 - δ of the history, from snapshot ⌈δ n⌉ on, counted from 0.
+    """Return uniform weights (n,) over the newest share 1 - δ of the history, from snapshot ⌈δ n⌉ on, from 0.
 
-    Bansal et al. 2018, "Emergent complexity via multi-agent competition": the opponent is drawn from
-    Uniform(δ v, v), v the newest. δ = 0 is the whole history; δ = 1 is the newest snapshot alone.
+    Bansal et al. 2018, "Emergent complexity via multi-agent competition": the opponent is drawn from Uniform(δ v, v), v
+    the newest. δ = 0 is the whole history; δ = 1 is the newest snapshot alone. Raises ValueError for δ outside [0, 1].
     """
     if not 0 <= delta <= 1:
         raise ValueError(f"delta is {delta}; it must lie between 0 (all history) and 1 (only the newest snapshot)")
-    start = min(math.ceil(delta * positive(n) - 1e-9), n - 1)  # 1e-9: 0.1 × 30 may come out just above 3
+    start = min(math.ceil(delta * checked_count(n) - 1e-9), n - 1)  # 1e-9: 0.1 × 30 may be slightly above 3
     return np.where(np.arange(n) >= start, 1 / (n - start), 0.0)
 
 
 def pfsp(win_rates: np.ndarray, weighting: Weighting = "squared") -> np.ndarray:
-    """(n,) Prioritised fictitious self-play: by what the learner's win rate against each says.
+    """Return probabilities (n,) of prioritised fictitious self-play, from the learner's win rates.
 
     Vinyals et al. 2019, "Grandmaster level in StarCraft II using multi-agent reinforcement learning", Methods and
     published pseudocode: P(B) = f(x_B) / Σ f(x_C), x the learner's win rate, with f one of
@@ -62,11 +62,11 @@ def pfsp(win_rates: np.ndarray, weighting: Weighting = "squared") -> np.ndarray:
         linear_capped  min(½, 1 - x)       evenly those that it does not beat yet
 
     Args:
-        win_rates: (n,) the learner's score against each snapshot in [0, 1]; nan where they never met counts as ½.
-        weighting: which f.
+        win_rates: (n,) the learner's score against each snapshot in [0, 1]; nan, for no games, counts as ½.
+        weighting: name of f.
 
     Returns:
-        probabilities (n,); uniform where f is 0 for all of them, e.g. where the learner beats all of them always.
+        probabilities (n,); uniform if f is 0 for all of them, e.g. if the learner always beats all of them.
     """
     x = _shares(win_rates)
     if weighting not in _WEIGHTINGS:
@@ -76,21 +76,21 @@ def pfsp(win_rates: np.ndarray, weighting: Weighting = "squared") -> np.ndarray:
 
 
 def by_quality(qualities: np.ndarray) -> np.ndarray:
-    """(n,) Softmax of the quality scores q: p_i = exp(q_i) / Σ exp(q_j).
+    """Return the softmax (n,) of the quality scores q: p_i = exp(q_i) / Σ exp(q_j).
 
     Berner et al. 2019 (OpenAI Five), "Dota 2 with large scale deep reinforcement learning", appendix on opponents: for
-    the fifth of its games that it plays against its past. How q follows from the games says `Qualities`.
+    the fifth of the games that are played against the past. `Qualities` tells how q follows from the games.
     """
     q = np.asarray(qualities, float)
     if q.ndim != 1 or not np.all(np.isfinite(q)):
         raise ValueError(f"qualities must be one row of finite numbers, not {qualities}")
-    positive(len(q))
+    checked_count(len(q))
     p = np.exp(q - q.max())
     return p / p.sum()
 
 
 def gaussian(win_rates: np.ndarray, sigma: float = 1 / 6) -> np.ndarray:
-    """(n,) A normal law of the predicted win probability, around ½: those of the learner's own strength.
+    """Return weights (n,) by a normal distribution of the predicted win probability around ½: equal opponents.
 
     Jaderberg et al. 2019 (FTW), "Human-level performance in 3D multiplayer games with population-based reinforcement
     learning", supplement: p_i ∝ exp(-(x_i - ½)² / (2 σ²)) with σ = 1/6, x_i predicted by ratings.
@@ -107,11 +107,17 @@ def gaussian(win_rates: np.ndarray, sigma: float = 1 / 6) -> np.ndarray:
 
 
 class Mixture(NamedTuple):
-    """Probabilities over the opponent as it plays now and n snapshots; they sum to 1. And how they came about."""
+    """Probabilities of the opponent's present policy and of n snapshots, which sum to 1, and the reason for them."""
 
     present: float
     past: np.ndarray  # (n,)
     why: str
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(n + 1,) Probabilities of the snapshots and, last, of the present policy."""
+        whole = np.append(self.past, self.present)
+        return whole / whole.sum()
 
 
 def alphastar(
@@ -119,21 +125,21 @@ def alphastar(
     against_present: float | None,
     own: np.ndarray,
     exploiters: np.ndarray,
-    mix: tuple[float, float, float] = (AHEAD, SELF_PLAY, VERIFICATION),
+    mix: tuple[float, float, float] = (PFSP_SHARE, SELF_PLAY_SHARE, VERIFICATION_SHARE),
 ) -> Mixture:
-    """What a main player of AlphaStar meets (Vinyals et al. 2019, Methods and published pseudocode, `MainPlayer`).
+    """Return the opponents of a main player of AlphaStar (Vinyals et al. 2019, published pseudocode, `MainPlayer`).
 
     - 0.5: PFSP (squared) over all snapshots.
-    - 0.35: self-play against the present opponent; where it is beaten in no more than 30 % of games, its past by PFSP
+    - 0.35: self-play against the present opponent; if it is beaten in no more than 30 % of games, its past by PFSP
       (variance) instead.
-    - 0.15: verification. Exploiters' snapshots by PFSP (squared) where one of them is beaten in less than 30 % of
-      games; else forgotten players: past snapshots of the opponent that are beaten in less than 70 %, by PFSP
-      (squared). Its newest snapshots as far as each is harder than the one before are not forgotten but new, and left
-      out. Without any of these it is self-play too.
+    - 0.15: verification. Exploiters' snapshots by PFSP (squared) if one of them is beaten in less than 30 % of games;
+      otherwise forgotten players: past snapshots of the opponent that are beaten in less than 70 %, by PFSP (squared).
+      Its newest snapshots, as long as each is harder than the one before, are not forgotten but new, and left out.
+      Without any of these it is self-play too.
 
     Args:
         win_rates: (n,) the learner's score against each snapshot in [0, 1]; nan counts as ½.
-        against_present: its score against the opponent as it plays now; None where nobody sits there now, and then
+        against_present: its score against the opponent's present policy; None if that does not play now, and then
             self-play is against its past.
         own: (n,) bool, the present opponent's own snapshots.
         exploiters: (n,) bool, exploiters' snapshots.
@@ -147,85 +153,87 @@ def alphastar(
         alone += verified
     else:
         past = past + verified * found
-    if against_present is not None and against_present > BEATEN_TOO_SELDOM:
+    if against_present is not None and against_present > WEAK_BELOW:
         return Mixture(alone, past, f"{why}; self-play against the opponent as it plays now")
     chosen = np.flatnonzero(own)
-    history = _spread(len(x), chosen, pfsp(x[chosen], "variance")) if chosen.size else pfsp(x, "variance")
+    history = _scatter(len(x), chosen, pfsp(x[chosen], "variance")) if chosen.size else pfsp(x, "variance")
     reason = "which is not there" if against_present is None else f"which is beaten in {100 * against_present:.0f} %"
     return Mixture(0.0, past + alone * history, f"{why}; self-play against the past of the opponent, {reason}")
 
 
 def exploit(win_rates: np.ndarray, players: Sequence[str]) -> Mixture:
-    """What a main exploiter of AlphaStar meets (Vinyals et al. 2019, published pseudocode, `MainExploiter`).
+    """Return the opponents of a main exploiter of AlphaStar (Vinyals et al. 2019, `MainExploiter`).
 
-    One of the players, each as likely as another: its newest snapshot where that is beaten in more than 10 % of games,
-    for else there is nothing to learn from; then its snapshots by PFSP (variance). There the player itself sits
-    opposite instead of its newest snapshot; here the one that learns elsewhere is as it was frozen last.
+    One of the players, with equal probability: its newest snapshot if that is beaten in more than 10 % of games,
+    because otherwise nothing can be learnt from it; if not, its snapshots by PFSP (variance). In the published
+    pseudocode the player itself plays instead of its newest snapshot; here the player that learns elsewhere is
+    represented by its last snapshot.
 
     Args:
         win_rates: (n,) the learner's score against each snapshot in [0, 1]; nan counts as ½.
-        players: (n,) whose snapshot each is.
+        players: (n,) the player of each snapshot.
     """
     x = _shares(win_rates)
     past, why = np.zeros(len(x)), []
     for player in sorted(set(players)):
         own = np.flatnonzero([name == player for name in players])
-        if x[own[-1]] > TOO_STRONG:
-            chosen, told = latest(len(own)), "as it was frozen last"
+        if x[own[-1]] > TOO_STRONG_BELOW:
+            chosen, how = latest(len(own)), "as it was frozen last"
         else:
-            chosen, told = pfsp(x[own], "variance"), f"its past, for it is beaten in {100 * x[own[-1]]:.0f} %"
-        past += _spread(len(x), own, chosen) / len(set(players))
-        why.append(f"{player} {told}")
+            chosen, how = pfsp(x[own], "variance"), f"its past, for it is beaten in {100 * x[own[-1]]:.0f} %"
+        past += _scatter(len(x), own, chosen) / len(set(players))
+        why.append(f"{player} {how}")
     return Mixture(0.0, past, "; ".join(why))
 
 
 def check_mix(mix: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The shares of AlphaStar's three kinds of games as they are; ValueError unless they sum to 1."""
+    """Return the shares of AlphaStar's three kinds of games unchanged; ValueError unless they sum to 1."""
     if min(mix) < 0 or not math.isclose(sum(mix), 1.0, abs_tol=1e-6):
         raise ValueError(f"mix: three shares that sum to 1, not to {sum(mix):g}")
     return mix
 
 
 def draw(weights: np.ndarray, k: int, rng: np.random.Generator) -> np.ndarray:
-    """(k,) Indices drawn independently with probabilities `weights`; the same one may come twice."""
+    """Return indices (k,) drawn independently with probabilities `weights`; the same index may occur repeatedly."""
     return rng.choice(len(weights), size=k, p=weights)
 
 
-def positive(n: int) -> int:
-    """The number of snapshots as it is; ValueError where there are none."""
+def checked_count(n: int) -> int:
+    """Return the number of snapshots unchanged; ValueError if there are none."""
     if n < 1:
         raise ValueError(f"there are {n} snapshots to choose from; a league has at least its initial one")
     return n
 
 
 def _verification(x: np.ndarray, own: np.ndarray, exploiters: np.ndarray) -> tuple[np.ndarray | None, str]:
-    """Probabilities of the verification games and their reason; None where there is nobody to be verified against."""
-    strong = np.flatnonzero(exploiters)
-    if strong.size and x[strong].min() < BEATEN_TOO_SELDOM:
-        return _spread(len(x), strong, pfsp(x[strong])), "verification against exploiters"
+    """Return probabilities of the verification games and their reason; None if there is no such opponent."""
+    strong_components = np.flatnonzero(exploiters)
+    if strong_components.size and x[strong_components].min() < WEAK_BELOW:
+        return _scatter(len(x), strong_components, pfsp(x[strong_components])), "verification against exploiters"
     known = _less_monotonic_end(np.flatnonzero(own), x)
-    forgotten = known[x[known] < BEATEN]
+    forgotten = known[x[known] < FORGOTTEN_BELOW]
     if forgotten.size:
-        return _spread(len(x), forgotten, pfsp(x[forgotten])), "verification against forgotten players"
+        return _scatter(len(x), forgotten, pfsp(x[forgotten])), "verification against forgotten players"
     return None, "nobody to be verified against"
 
 
 def _less_monotonic_end(history: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The history less its newest snapshots as far as each one is no easier than the one before it."""
+    """Return the history without its newest snapshots as long as each is no easier than the one before it."""
     easier = np.flatnonzero(x[history][1:] > x[history][:-1])
     return history[: easier[-1] + 2] if easier.size else history[:0]
 
 
-def _spread(n: int, where: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Probabilities (n,) of the chosen ones, 0 elsewhere."""
-    whole = np.zeros(n)
-    whole[where] = probabilities
-    return whole
+def _scatter(n: int, where: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
+    """Return probabilities (n,) of the chosen snapshots, 0 elsewhere."""
+    full = np.zeros(n)
+    full[where] = probabilities
+    return full
 
 
 def _shares(win_rates: np.ndarray) -> np.ndarray:
+    """Return win rates (n,) with ½ for nan; ValueError unless they are scores between 0 and 1."""
     x = np.nan_to_num(np.asarray(win_rates, float), nan=0.5)
     if x.ndim != 1 or not np.all((x >= 0) & (x <= 1)):
         raise ValueError(f"win_rates must be one row of scores between 0 and 1 (nan where never met), not {win_rates}")
-    positive(len(x))
+    checked_count(len(x))
     return x

@@ -1,11 +1,11 @@
-"""What a league's configuration says of whom a learning player meets."""
+"""Settings of opponent sampling in a league's configuration."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple, get_args
 
 from matchmaking.opponents.records import DECAY, SHRINKAGE
-from matchmaking.opponents.rules import AHEAD, SELF_PLAY, VERIFICATION, Weighting, check_mix
+from matchmaking.opponents.rules import PFSP_SHARE, SELF_PLAY_SHARE, VERIFICATION_SHARE, Weighting, check_mix
 
 Kind = Literal[
     "latest", "uniform", "delta_uniform", "pfsp", "openai_five", "alphastar", "exploit", "gaussian", "nash",
@@ -13,21 +13,21 @@ Kind = Literal[
 ]  # fmt: skip
 
 PAST: Mapping[str, float] = {"latest": 0.0, "openai_five": 0.2}
-"""Share of the worlds against past opponents where nothing else is said; all of them by the other rules."""
+"""Default share of worlds against past opponents; it is 1 for the other rules."""
 
 USED_BY: Mapping[str, tuple[str, ...]] = {
     "delta": ("delta_uniform",), "weighting": ("pfsp",), "rate": ("openai_five",), "mix": ("alphastar",),
     "sigma": ("gaussian",), "alpha": ("alpharank",), "victim": ("fixed",),
     "decay": ("pfsp", "alphastar", "exploit"), "shrinkage": ("pfsp", "alphastar", "exploit", "nash", "alpharank"),
 }  # fmt: skip
-"""Which rules read a setting. Set for another one it would do nothing, and is refused."""
+"""Rules that read a setting. With another rule the setting would have no effect, and is refused."""
 
 BY_RATINGS = ("gaussian", "nash", "alpharank")
-"""Rules that read rating matches, which end in no fixed order."""
+"""Rules that depend on rating matches, which end in no fixed order."""
 
 
 class Split(NamedTuple):
-    """How many groups of a learner's worlds play present opponents, and how many are drawn by the rule."""
+    """Numbers of groups of a learner's worlds that play present opponents and opponents drawn by the rule."""
 
     present: int
     past: int
@@ -35,53 +35,54 @@ class Split(NamedTuple):
 
 @dataclass(frozen=True)
 class Opponents:
-    """Whom a learning player meets."""
+    """Opponents of a learning player."""
 
     kind: Kind = "latest"
-    """Which past snapshots: latest; uniform over the history; delta_uniform (with `delta`, Bansal et al.); pfsp, by win
-    rate (with `weighting`, AlphaStar); openai_five, by quality (with `rate`); alphastar, its main players' mix (with
-    `mix`); exploit, its main exploiters' (the newest, or its past where that is too strong); gaussian, by predicted win
-    probability (with `sigma`, FTW); nash or alpharank (with `alpha`), the mixture of the payoff table (PSRO); fixed,
-    one `victim`. prioritized is an older word for pfsp."""
+    """Rule for past snapshots: latest; uniform over the history; delta_uniform (with `delta`, Bansal et al.); pfsp, by
+    win rate (with `weighting`, AlphaStar); openai_five, by quality (with `rate`); alphastar, the mix of its main
+    players (with `mix`); exploit, that of its main exploiters (the newest, or its past where that is too strong);
+    gaussian, by predicted win probability (with `sigma`, FTW); nash or alpharank (with `alpha`), the mixture of the
+    payoff table (PSRO); fixed, one `victim`. prioritized is an older word for pfsp."""
 
     past: float | None = None
     """Share of the worlds, 0 to 1, that play past snapshots; all others play the opponents' present policies (none: as
-    the rule was published, 0 by latest, 0.2 by openai_five, as mix says by alphastar, else 1)."""
+    published, 0 by latest, 0.2 by openai_five, as mix says by alphastar, else 1)."""
 
     delta: float = 0.0
-    """For delta_uniform: the oldest share of the history that is left out, 0 to 1."""
+    """For delta_uniform: oldest share of the history to leave out, 0 to 1."""
 
     weighting: Weighting = "squared"
-    """For pfsp, of the win rate x: squared (1-x)², variance x(1-x), linear 1-x, linear_capped min(½, 1-x)."""
+    """For pfsp, with win rate x: squared (1-x)², variance x(1-x), linear 1-x, linear_capped min(½, 1-x)."""
 
     rate: float = 0.01
-    """For openai_five: by how much a game that is won lowers an opponent's quality."""
+    """For openai_five: learning rate η, by which a won game lowers an opponent's quality."""
 
-    mix: tuple[float, float, float] = (AHEAD, SELF_PLAY, VERIFICATION)
+    mix: tuple[float, float, float] = (PFSP_SHARE, SELF_PLAY_SHARE, VERIFICATION_SHARE)
     """For alphastar: shares of PFSP over all snapshots, of self-play and of verification; they sum to 1."""
 
     sigma: float = 1 / 6
-    """For gaussian: deviation of the win probability from one half."""
+    """For gaussian: standard deviation of the win probability around one half."""
 
     alpha: float = 100.0
-    """For alpharank: how strongly payoffs decide who takes over a population of 50."""
+    """For alpharank: selection intensity in a population of 50."""
 
     victim: str = ""
-    """For fixed: the snapshot or script that is always met, e.g. red@16 or pusher."""
+    """For fixed: the snapshot or script to play against, e.g. red@16 or pusher."""
 
     decay: float = DECAY
-    """What a training game counts in the win rates less for each game after it."""
+    """Factor by which each later game reduces the weight of a training game in the win rates."""
 
     shrinkage: float = SHRINKAGE
-    """Virtual draws with which win rates and payoffs begin: one half until there are enough games."""
+    """Virtual draws at the start of win rates and payoffs: they stay near one half until there are enough games."""
 
     groups: int = 8
-    """Equal groups of a learner's worlds, those with present opponents included; each other one meets a snapshot."""
+    """Equal groups of a learner's worlds, including those with present opponents; each other group meets one
+    snapshot."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise ValueError(f"kind is {self.kind!r}; choose one of {', '.join(get_args(Kind))}")
-        if self.kind == "prioritized":  # so do settings of older leagues
+        if self.kind == "prioritized":  # settings of older leagues
             object.__setattr__(self, "kind", "pfsp")
         for name, low, high in (("past", 0, 1), ("delta", 0, 1), ("decay", 0, 1)):
             value = getattr(self, name)
@@ -102,7 +103,7 @@ class Opponents:
             raise ValueError(f"groups is {self.groups}; it must be {fewest} or more{why}")
 
     def _check_use(self) -> None:
-        """Refuse what would do nothing, and what is missing."""
+        """Raise ValueError for settings without effect, and for missing ones."""
         defaults = {each.name: each.default for each in fields(self)}
         for name, kinds in USED_BY.items():
             if getattr(self, name) != defaults[name] and self.kind not in kinds:
@@ -117,13 +118,13 @@ class Opponents:
 
     @property
     def share(self) -> float:
-        """The share of the worlds whose opponents are drawn by the rule."""
+        """Share of the worlds whose opponents are drawn by the rule."""
         return PAST.get(self.kind, 1.0) if self.past is None else self.past
 
     def split(self) -> Split:
-        """Groups against present opponents and by the rule: the share to within one group, none left empty.
+        """Return the groups against present opponents and by the rule, rounded to groups, none of both empty.
 
-        Where all opponents are present there is one group, for all worlds are alike.
+        If all opponents are present there is one group, because all worlds are alike.
         """
         share = self.share
         if share in (0, 1):
@@ -132,7 +133,7 @@ class Opponents:
         return Split(self.groups - past, past)
 
     @property
-    def true_share(self) -> float:
-        """The share of the worlds that are really drawn by the rule."""
+    def actual_share(self) -> float:
+        """Share of the worlds that are really drawn by the rule, after rounding to groups."""
         present, past = self.split()
         return past / (present + past)

@@ -1,4 +1,4 @@
-"""An online Elo over the match log: a ticker to look at, not a rating. It depends on the order of the games."""
+"""Online Elo over the match log: a running display, not a rating. It depends on the order of the games."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -6,16 +6,16 @@ from collections.abc import Iterable, Mapping
 from storage.records import Match
 
 K = 16.0
-"""Elo that a game moves at most, once for either player."""
+"""Maximum Elo change per game, for each of the two players."""
 START = 1000.0
 ELO = 400 / math.log(10)
 
 
-def ticker(log: Iterable[Match], parents: Mapping[str, str] | None = None, k: float = K) -> dict[str, float]:
-    """Sequential Elo (Elo 1978) of everybody who has met somebody: R += K (S - E), E = 1/(1 + 10^(-(R - R')/400)).
+def online_elo(log: Iterable[Match], parents: Mapping[str, str] | None = None, k: float = K) -> dict[str, float]:
+    """Return sequential Elo (Elo 1978) of all players with games: R += K (S - E), E = 1/(1 + 10^(-(R - R')/400)).
 
-    A match's games are played one after the other, each with the match's mean score S (a draw is ½), for the log does
-    not tell their order. A snapshot begins with what its parent has then, others with START.
+    A match's games are played one after the other, each with the match's mean score S (a draw is ½), because the log
+    does not tell their order. A snapshot starts with its parent's current Elo, others with START.
     """
     elo: dict[str, float] = {}
     parents = parents or {}

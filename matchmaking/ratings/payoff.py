@@ -1,0 +1,373 @@
+"""Payoff: wins, draws and losses between snapshots, summed from the match log; and the interval of a score.
+
+Below P is the number of snapshots and E the number of pairs of snapshots that met.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from storage.errors import StorageError
+from storage.records import COUNT_COLUMNS, ArenaKey, Match, MatchTotals
+
+PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
+
+
+MAX_GAMES = 10**15
+"""Maximum number of games in a log: above it sums would not be exact, and databases write infinity as such a number."""
+
+
+def is_suspect(games: int, voids: int) -> bool:
+    """Return True if so many void episodes next to so many games make a score suspect, see Score.suspect."""
+    return voids > SUSPECT * games
+
+
+class Contradiction(StorageError, ValueError):  # noqa: N818
+    """A row of a match log is impossible, whatever was played; the store that has it is damaged."""
+
+
+SUSPECT = 0.1
+"""Void episodes as a share of the games above which a score is marked wherever it is printed."""
+
+
+class Score(NamedTuple):
+    """A snapshot's mean score against others (win 1, draw ½, loss 0) or its success rate alone, with its interval."""
+
+    score: float  # nan without games
+    low: float
+    high: float
+    games: int
+    voids: int = 0  # episodes besides them that do not count
+
+    @property
+    def suspect(self) -> bool:
+        """True if there are more void episodes than a tenth of the games: then the games are a biased selection."""
+        return is_suspect(self.games, self.voids)
+
+
+@dataclass(frozen=True, eq=False)
+class Payoff:
+    """Counts of all games between P snapshots, stored per pair that met (`first` < `second`, indices into `names`).
+
+    All counts are from `first`'s point of view. Nothing here depends on the order of matches, nor on which of the two
+    snapshots a match called A.
+    """
+
+    names: tuple[str, ...]  # (P,) of snapshots, sorted
+    first: np.ndarray  # (E,) int
+    second: np.ndarray  # (E,) int
+    home: np.ndarray  # (E, 3) int: wins, draws, losses of first while it played team 0
+    away: np.ndarray  # (E, 3) int: the same while second played team 0
+    pairs: np.ndarray  # (E, 5) int: seed pairs by first's score: LL, LD, DD or WL, DW, WW
+    voids: np.ndarray  # (E,) int: void episodes
+    at_fault: np.ndarray  # (E, 2) int: those of them in which only first's robots failed, or only second's
+    trials: np.ndarray  # (P, 4) int, in arenas of one team: successes, failures, voids, voids by its own robots
+    last: np.ndarray  # (P,) when its newest match was written, in seconds since the epoch; 0 without one
+    arena: ArenaKey | None = None  # of the matches; None without any
+
+    @cached_property
+    def positions(self) -> dict[str, int]:
+        """Position of each snapshot in `names`."""
+        return {name: i for i, name in enumerate(self.names)}
+
+    def index(self, name: str) -> int:
+        """Return the position of a snapshot in `names`; ValueError if it is not there."""
+        if name not in self.positions:
+            raise ValueError(f"snapshot {name!r} is not among the {len(self.names)} of this payoff; see Payoff.names")
+        return self.positions[name]
+
+    @cached_property
+    def results(self) -> np.ndarray:
+        """Wins, draws and losses (P, 3) of each snapshot, over all its games."""
+        both = self.home + self.away
+        return self._each(both, both[:, ::-1])
+
+    @cached_property
+    def played(self) -> np.ndarray:
+        """Valid games (P,) of each snapshot."""
+        return self.results.sum(1)
+
+    @cached_property
+    def total_episodes(self) -> np.ndarray:
+        """Episodes (P,) of each snapshot, void ones included."""
+        return self.played + self._each(self.voids[:, None], self.voids[:, None])[:, 0]
+
+    def edges(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Return the index of the pair of i and j; -1 if they never met. Arrays of any shapes that broadcast."""
+        i, j = np.broadcast_arrays(i, j)
+        wanted = np.minimum(i, j) * len(self.names) + np.maximum(i, j)
+        if not len(self._keys):
+            return np.full(wanted.shape, -1)
+        place = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        return np.where(self._keys[place] == wanted, place, -1)
+
+    def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Return (..., 9) wins, draws and losses of i against j, the five pair counts and voids; 0 without games."""
+        edge = self.edges(i, j)
+        if not len(self.first):
+            return np.zeros((*edge.shape, 9), np.int64)
+        turned = np.broadcast_to((np.asarray(i) > np.asarray(j))[..., None], (*edge.shape, 1))
+        games, pairs = (self.home + self.away)[edge], self.pairs[edge]
+        found = np.concatenate([
+            np.where(turned, games[..., ::-1], games), np.where(turned, pairs[..., ::-1], pairs),
+            self.voids[edge][..., None],
+        ], -1)  # fmt: skip
+        return np.where((edge >= 0)[..., None], found, 0)
+
+    def block(self, rows: Sequence[int] | np.ndarray, columns: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return (4, R, C) wins, draws and losses of the rows against the columns, and voids."""
+        found = np.zeros((4, len(rows), len(columns)), np.int64)
+        to_row, to_column = (np.full(len(self.names), -1) for _ in range(2))
+        to_row[rows], to_column[columns] = np.arange(len(rows)), np.arange(len(columns))
+        both = self.home + self.away
+        for own, other, games in ((self.first, self.second, both), (self.second, self.first, both[:, ::-1])):
+            row, column = to_row[own], to_column[other]
+            inside = (row >= 0) & (column >= 0)
+            found[:3, row[inside], column[inside]] = games[inside].T
+            found[3, row[inside], column[inside]] = self.voids[inside]
+        return found
+
+    @cached_property
+    def _keys(self) -> np.ndarray:
+        """The pairs that met as ascending numbers (E,): `sum_matches` sorts them."""
+        return self.first * len(self.names) + self.second
+
+    def _each(self, of_first: np.ndarray, of_second: np.ndarray) -> np.ndarray:
+        """Return sums (P, K) over each snapshot's pairs of counts (E, K) for their first and for their second."""
+        found = np.zeros((len(self.names), of_first.shape[1]), np.int64)
+        for ends, counts in ((self.first, of_first), (self.second, of_second)):
+            for k, column in enumerate(counts.T):  # exact: sums of floating-point numbers are, below 2⁵³
+                found[:, k] += np.bincount(ends, column, len(self.names)).astype(np.int64)
+        return found
+
+    # Tables of all pairs: each takes 800 MB for 10,000 snapshots.
+
+    @cached_property
+    def wins(self) -> np.ndarray:
+        """Games (P, P) that i won against j; its transpose holds the losses."""
+        return self._square(self.home[:, 0] + self.away[:, 0], self.home[:, 2] + self.away[:, 2])
+
+    @cached_property
+    def draws(self) -> np.ndarray:
+        """Games (P, P) drawn between i and j, symmetric."""
+        drawn = self.home[:, 1] + self.away[:, 1]
+        return self._square(drawn, drawn)
+
+    @property
+    def losses(self) -> np.ndarray:
+        """Games (P, P) that i lost against j."""
+        return self.wins.T
+
+    @cached_property
+    def games(self) -> np.ndarray:
+        """Valid games (P, P) between i and j, symmetric."""
+        return self.wins + self.draws + self.losses
+
+    @cached_property
+    def episodes(self) -> np.ndarray:
+        """Episodes (P, P) played between i and j, void ones included, symmetric."""
+        return self.games + self._square(self.voids, self.voids)
+
+    def scores(self) -> np.ndarray:
+        """Return the mean score (P, P) of i against j, nan if they never met."""
+        with np.errstate(invalid="ignore"):
+            return (self.wins + 0.5 * self.draws) / self.games
+
+    def score(self, a: str, *others: str, confidence: float = 0.95) -> Score:
+        """Return the mean score of a over its games against all of `others`, with the interval of `score_interval`.
+
+        Raises ValueError for an unknown name. Repeated names count once.
+        """
+        wins, draws, losses, *pairs = self.against(a, others)
+        low, high = score_interval(wins, draws, losses, np.array(pairs), confidence)
+        n = wins + draws + losses
+        voids = self.voids_against(a, others)
+        return Score((wins + draws / 2) / n if n else float("nan"), float(low), float(high), n, voids)
+
+    def voids_against(self, a: str, others: Iterable[str]) -> int:
+        """Return the void episodes of a against all of `others`; repeated names count once."""
+        met = np.array([self.index(name) for name in dict.fromkeys(others)], int)
+        return int(self.between(np.array(self.index(a)), met)[:, 8].sum())
+
+    @cached_property
+    def suspect(self) -> frozenset[frozenset[str]]:
+        """Pairs of snapshots whose score against each other is suspect, by name."""
+        games = (self.home + self.away).sum(1)
+        found = np.flatnonzero(self.voids > SUSPECT * games)
+        return frozenset(frozenset((self.names[self.first[e]], self.names[self.second[e]])) for e in found)
+
+    def against(self, a: str, others: Iterable[str]) -> tuple[int, ...]:
+        """Return wins, draws, losses and the five pair counts of a against all of `others`, each name once."""
+        met = np.array([self.index(name) for name in dict.fromkeys(others)], int)
+        return tuple(self.between(np.array(self.index(a)), met)[:, :8].sum(0).tolist())
+
+    def _square(self, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+        """Return per-pair counts as a (P, P) matrix: `forward` for (first, second), `backward` for (second, first)."""
+        square = np.zeros((len(self.names), len(self.names)), np.int64)
+        square[self.first, self.second] = forward
+        square[self.second, self.first] = backward
+        return square
+
+
+def sum_matches(
+    matches: Sequence[Match] | MatchTotals, players: Iterable[str] = (), onto: Payoff | None = None
+) -> Payoff:
+    """Sum a match log into a Payoff.
+
+    Args:
+        matches: rows of one ArenaKey, or their sums. A snapshot's matches against itself say nothing about strength and
+            are left out; those without an opponent, from an arena of one team, count as `trials`.
+        players: names of snapshots that have a place even if they have not played yet.
+        onto: sums of earlier rows of the same log; the result is the same as of all rows together.
+
+    Raises:
+        ValueError: matches of several ArenaKeys, which cannot be compared, or a row whose counts contradict each other.
+    """
+    arenas = _arenas(matches) | ({onto.arena} if onto and onto.arena else set())
+    if len(arenas) > 1:
+        raise ValueError(f"matches of {len(arenas)} arenas cannot be compared; choose one of {sorted(arenas)}")
+    of_a, of_b, counts, created = _columns(matches)
+    names = tuple(sorted({*players, *of_a, *of_b, *(onto.names if onto else ())} - {None}))
+    place: dict[str | None, int] = {name: i for i, name in enumerate(names)}
+    a, b = (np.array([place.get(name, -1) for name in of], np.int64) for of in (of_a, of_b))
+    alone, met = b < 0, (b >= 0) & (a != b)
+    table = _of_first(a[met], b[met], counts[met])
+    trials, last = np.zeros((len(names), 4), np.int64), np.zeros(len(names))
+    wins, draws, losses, voids, voids_a = counts[alone][:, [0, 1, 2, 11, 12]].T
+    np.add.at(trials, a[alone], np.stack([wins, draws + losses, voids, voids_a], 1))
+    for who, when in ((a, created), (b[~alone], created[~alone])):
+        np.maximum.at(last, who, when)
+    if onto is not None:
+        now = np.array([place[name] for name in onto.names], np.int64)
+        before = (onto.home, onto.away, onto.pairs, onto.voids, onto.at_fault)
+        table = np.concatenate([table, np.column_stack([now[onto.first], now[onto.second], *before])])
+        trials[now] += onto.trials
+        last[now] = np.maximum(last[now], onto.last)
+    # Pairs are numbered by position, so sums do not depend on the order of rows (and integers add exactly).
+    pair = table[:, 0] * len(names) + table[:, 1]
+    order = np.argsort(pair, kind="stable")
+    starts = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    keys, sums = pair[order[starts]], np.zeros((len(starts), 14), np.int64)
+    if len(starts):
+        np.add.reduceat(table[order, 2:], starts, out=sums)
+    first, second = np.divmod(keys, max(len(names), 1))
+    home, away, pairs, void, at_fault = np.split(sums, [3, 6, 11, 12], axis=1)
+    return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, next(iter(arenas), None))
+
+
+def _arenas(matches: Sequence[Match] | MatchTotals) -> set[ArenaKey]:
+    return {matches.arena} if isinstance(matches, MatchTotals) else {match.arena for match in matches}
+
+
+def _columns(
+    matches: Sequence[Match] | MatchTotals,
+) -> tuple[Sequence[str], Sequence[str | None], np.ndarray, np.ndarray]:
+    """Return a log's columns: a, b, counts (rows, 14) in the order of COUNT_COLUMNS, and when each row was written."""
+    if not isinstance(matches, MatchTotals):
+        matches = MatchTotals(
+            ArenaKey("", "", ""), [m.a for m in matches], [m.b for m in matches], [_counts(m) for m in matches],
+            [m.created for m in matches], 0,
+        )  # fmt: skip
+    try:
+        counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNT_COLUMNS))
+        created = np.array(matches.created, float)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise Contradiction(f"the log of matches is damaged: {str(error)[:80]}") from None
+    if not np.isfinite(created).all() or (np.abs(counts) > MAX_GAMES).any():
+        raise Contradiction("the log of matches is damaged: a time or a count of games is not finite")
+    _check(matches.a, matches.b, counts)
+    return matches.a, matches.b, counts, created
+
+
+def _counts(m: Match) -> tuple[int, ...]:
+    sides = (m.side_wins, m.side_draws, m.side_losses)
+    return (m.wins, m.draws, m.losses, *sides, *m.pairs, m.voids, m.voids_a, m.voids_b)
+
+
+def _check(a: Sequence[str], b: Sequence[str | None], counts: np.ndarray) -> None:
+    """Raise Contradiction for a row whose counts contradict each other."""
+    home, pairs, voids = counts[:, 3:6], counts[:, 6:11], counts[:, 11]
+    away = counts[:, :3] - home
+    wrong = (counts < 0).any(1) | (away < 0).any(1) | (counts[:, 12:].sum(1) > voids)
+    wrong |= pairs.sum(1) > np.minimum(home.sum(1), away.sum(1))
+    for i in np.flatnonzero(wrong)[:1]:
+        against = f" against {b[i]}" if b[i] else ""
+        raise Contradiction(
+            f"a match of {a[i]}{against} contradicts itself: side counts must not exceed the totals, each seed pair"
+            " needs a valid game on either side, and a void has one culprit at most"
+        )
+
+
+def _of_first(a: np.ndarray, b: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return (rows, 16): first, second, home ×3, away ×3, pairs ×5, voids, culprits ×2, seen from the first by name."""
+    home, pairs, voids, at_fault = counts[:, 3:6], counts[:, 6:11], counts[:, 11:12], counts[:, 12:]
+    away, turned = counts[:, :3] - home, (a > b)[:, None]
+    # B's away games are those in which A played team 0, and A's losses are B's wins.
+    return np.column_stack([
+        np.minimum(a, b), np.maximum(a, b),
+        np.where(turned, away[:, ::-1], home), np.where(turned, home[:, ::-1], away),
+        np.where(turned, pairs[:, ::-1], pairs), voids, np.where(turned, at_fault[:, ::-1], at_fault),
+    ])  # fmt: skip
+
+
+def score_interval(wins, draws, losses, pairs=None, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Return the interval of a mean score s = (w + d/2)/n, taking account of draws and seed pairs.
+
+    It is Wilson's (1927) score interval, which never leaves [0, 1], with an effective number of games (the idea of Korn
+    and Graubard 1998 for surveys) instead of n:
+
+        n* = n² / (4 m r_pair + u r_game),   r = (k v/(s(1-s)) + z²) / (k + z²)
+
+    with m seed pairs, u games outside pairs, v the empirical variance about s of a pair's mean score (of a single
+    game's score for r_game) and k the number of pairs (games) that it comes from. s(1-s) is the largest variance that a
+    score in [0, 1] can have, so r = 1 means "every pair (game) is decisive". Adding z² such pseudo-pairs, as many as
+    Wilson's interval adds to its centre, keeps outcomes without variance from giving a width of zero: after m pairs
+    that were all won the width is Wilson's for m independent games.
+
+    Args:
+        wins: (...) games won; draws and losses broadcast with it, and all three count every valid game.
+        draws: (...) games drawn.
+        losses: (...) games lost.
+        pairs: (..., 5) counts of complete seed pairs among those games, or None.
+        confidence: coverage of the two-sided interval, between 0 and 1.
+
+    Returns:
+        low, high: arrays (...) in [0, 1]; (0, 1) without games.
+    """
+    s, effective = effective_games(wins, draws, losses, pairs, confidence)
+    z2, limit = quantile(confidence) ** 2, s * (1 - s)
+    centre = (effective * s + z2 / 2) / (effective + z2)
+    half = np.sqrt(z2 * (effective * limit + z2 / 4)) / (effective + z2)
+    return np.clip(centre - half, 0, 1), np.clip(centre + half, 0, 1)
+
+
+def effective_games(wins, draws, losses, pairs=None, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mean score s and n*, the equivalent number of decisive games; see `score_interval`."""
+    z2 = quantile(confidence) ** 2
+    wins, draws, losses = np.broadcast_arrays(*(np.asarray(x, float) for x in (wins, draws, losses)))
+    pairs = np.zeros((*wins.shape, 5)) if pairs is None else np.asarray(pairs, float)
+    n, m = wins + draws + losses, pairs.sum(-1)
+    s = (wins + draws / 2) / np.maximum(n, 1)
+    limit = s * (1 - s)
+    square_game = wins * (1 - s) ** 2 + draws * (0.5 - s) ** 2 + losses * s**2
+    square_pair = (pairs * (PAIR_SCORES - s[..., None]) ** 2).sum(-1)
+    certain = limit == 0  # only wins or only losses
+    safe = np.where(certain, 1, limit)
+    r_game = np.where(certain, 1, (square_game / safe + z2) / (n + z2))
+    r_pair = np.where(certain, 1, (square_pair / safe + z2) / (m + z2))
+    effective = n**2 / np.where(n > 0, 4 * m * r_pair + (n - 2 * m) * r_game, 1)
+    return s, effective
+
+
+def quantile(confidence: float) -> float:
+    """Return the two-sided quantile z of the standard normal distribution, e.g.
+
+    1.96 for 0.95; ValueError outside (0, 1).
+    """
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence is {confidence}; it must lie between 0 and 1, e.g. 0.95")
+    return NormalDist().inv_cdf((1 + confidence) / 2)
