@@ -1,1 +1,1 @@
-"""Rows, blobs and recordings: what a league knows, kept so that no crash loses it."""
+"""Robot League's storage: rows, blobs and recordings, kept so that no crash loses them."""

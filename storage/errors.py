@@ -1,45 +1,58 @@
-"""What can go wrong with a store, each told in one line that a user can act on.
+"""Errors of a store, each with a message of one line that a user can act on.
 
 StorageError
-├── Away            the store or its disk cannot be reached, or is full or locked, now: wait and try again
-├── NotAStore       nothing there, or something else is
-├── OldStore        written by an earlier version whose stores this one does not read
-├── OutdatedStore   written by an earlier version, and nobody has asked to bring it up to date
+├── Unavailable     the store or its disk cannot be reached, or is full or locked, now: wait and try again
+├── NotAStore       nothing is there, or something other than a store
+├── NoLeague        the store holds no league yet
+├── OldStore        written by an earlier version whose stores this version does not read
+├── OutdatedStore   written by an earlier version, and no migration was requested
 ├── NewerStore      written by a later version of this program
-├── DamagedBlob     a blob is missing or its bytes are not those it is named by
+├── WrongBlobStore  the location given for blobs holds the blobs of another store
+├── DamagedBlob     a blob is missing, or its bytes do not hash to its name
 ├── LeaseLost       a result came from a worker that no longer holds the job
-│   └── Superseded  a result goes on from a checkpoint that is no longer its player's newest
-└── UnknownName     no league, player, job, ... of that name
+│   └── Superseded  a result continues from a checkpoint that is no longer its player's newest
+└── UnknownName     no league, player, job, ... has that name
 """
 
-# ruff: noqa: N818  (a sentence reads better: "the lease was lost", "not a store")
+# ruff: noqa: N818  (names that read as sentences: "the lease was lost", "not a store")
 
 import errno
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+_WAIT = "; wait and try again."
+
 
 class StorageError(Exception):
     """The store could not do what was asked; nothing was half done."""
 
+    transient = False
+    """True if the same call may succeed later without any action here."""
 
-class Away(StorageError):
+
+class Unavailable(StorageError):
     """The store, its server or its disk cannot serve now; the same call may succeed later.
 
-    Nothing was done, unless a server was lost at the very moment of the commit; then the same call, made again, changes
-    nothing more: a job's end is refused as LeaseLost, and what is there already is not added twice.
+    Nothing was done, unless a server was lost at the very moment of the commit. Repeating the same call then changes
+    nothing more: ending a job is refused as LeaseLost, and rows that exist already are not added twice.
     """
 
+    transient = True
+
     def __init__(self, message: str):
-        super().__init__(f"{message.rstrip('.')}; wait and try again.")
+        super().__init__(f"{message.removesuffix(_WAIT).rstrip('.')}{_WAIT}")
 
 
 class NotAStore(StorageError):
-    """There is no league store at the place given. Whatever is there was left untouched."""
+    """There is no league store at the location given. Anything found there was left untouched."""
+
+
+class NoLeague(StorageError):
+    """The store holds no league yet."""
 
 
 class OldStore(StorageError):
-    """The store's schema is older than any that this program can bring up to date."""
+    """The store's schema is older than any schema that this program can migrate."""
 
     def __init__(self, where: str, found: int, first: int):
         super().__init__(
@@ -49,7 +62,7 @@ class OldStore(StorageError):
 
 
 class OutdatedStore(StorageError):
-    """The schema of a store on a server is older than today's, and nobody has asked to bring it up to date."""
+    """The schema of a store on a server is older than the current one, and no migration was requested."""
 
     def __init__(self, where: str, found: int, known: int):
         super().__init__(
@@ -65,8 +78,12 @@ class NewerStore(StorageError):
         super().__init__(f"{where} has schema {found}, but this program knows only up to {known}: update robot-league.")
 
 
+class WrongBlobStore(StorageError):
+    """The location given for a store's blobs holds the blobs of another store; nothing was written there."""
+
+
 class DamagedBlob(StorageError):
-    """A blob is missing, or its bytes no longer hash to its name; `data` are those that are there."""
+    """A blob is missing, or its bytes do not hash to its name; `data` holds the bytes that were found."""
 
     def __init__(self, digest: str, place: str, fault: str, data: bytes | None = None):
         super().__init__(f"Blob {digest} is {fault}: {place}")
@@ -74,15 +91,15 @@ class DamagedBlob(StorageError):
 
 
 class LeaseLost(StorageError):
-    """The job was claimed by another worker, finished or taken back meanwhile; nothing was written."""
+    """The job was claimed by another worker, finished or taken back in the meantime; nothing was written."""
 
 
 class Superseded(LeaseLost):
-    """A player has gone on from the checkpoint that the results start from; nothing was written."""
+    """A player has continued from the checkpoint that the results start from; nothing was written."""
 
 
 class UnknownName(StorageError):
-    """A name that the store does not have; the message lists those it has and the nearest one."""
+    """The store has no such name; the message lists the known names and suggests the closest one."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]):
         names = sorted(known)
@@ -91,13 +108,13 @@ class UnknownName(StorageError):
         super().__init__(f"There is no {kind} {name!r} here; there is: {', '.join(names) or 'none'}.{hint}")
 
 
-_PASSING = {
+_TRANSIENT = {
     *(errno.ENOSPC, errno.EDQUOT, errno.ENFILE, errno.EMFILE, errno.ENOMEM, errno.EAGAIN, errno.EBUSY),
     *(errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.ENOTCONN, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENODEV),
 }
 
 
 def disk_error(message: str, error: OSError) -> StorageError:
-    """What to raise when the system refuses: Away where that may pass (a full disk, a network that is down)."""
-    kind = Away if error.errno in _PASSING else StorageError
+    """Return the error for a refused system call: Unavailable where it may pass (a full disk, a lost network)."""
+    kind = Unavailable if error.errno in _TRANSIENT else StorageError
     return kind(f"{message}: {error.strerror or error}.")

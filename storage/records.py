@@ -1,7 +1,7 @@
-"""What the store holds, as values: frozen dataclasses that carry no connection and may be passed anywhere.
+"""The contents of a store as values: frozen dataclasses without a connection, which may be passed anywhere.
 
-Times are seconds since the epoch on the database's clock. Digests are SHA-256 in hexadecimal. Within a league a
-snapshot, like a player, is known by its name; its digest says which bytes it holds, and two may hold the same.
+Times are in seconds since the epoch on the database's clock. Digests are SHA-256 in hexadecimal. Within a league,
+players and snapshots are identified by name. A snapshot's digest identifies its bytes; two snapshots may share bytes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,9 @@ from typing import Any, Literal, NamedTuple
 
 
 class ArenaKey(NamedTuple):
-    """What makes two matches comparable: the same game, the same rules and bodies, the same physics engine."""
+    """The conditions that make two matches comparable: the same game, the same rules and bodies, the same physics
+    engine.
+    """
 
     arena: str
     config_hash: str
@@ -19,7 +21,7 @@ class ArenaKey(NamedTuple):
 
 @dataclass(frozen=True)
 class League:
-    """A named league of a store and the configuration it was created with or last run with."""
+    """A named league of a store, with the configuration it was created with or last run with."""
 
     name: str
     config: str  # TOML, as the user would write it
@@ -28,7 +30,7 @@ class League:
 
 @dataclass(frozen=True)
 class Run:
-    """One `league run`: what was asked for and where it ran."""
+    """One `league run`: its configuration, host and versions."""
 
     id: int
     league: str
@@ -42,8 +44,9 @@ class Run:
 class Player:
     """A learning lineage of a league for one team, e.g. `blue`, with a role such as `main`.
 
-    Players of one `group` learn together, at most one for each team. `setbacks` counts how often in a row its learning
-    has diverged and gone back to the last good checkpoint; a player that is `paused` learns no more, for that reason.
+    Players of one `group` learn together, at most one for each team. `setbacks` counts how often in a row the player's
+    learning has diverged and returned to the last good checkpoint. A `paused` player learns no more; the field has the
+    reason.
     """
 
     league: str
@@ -58,18 +61,18 @@ class Player:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A player's private resume state; the newest of a player, by iteration, is where it goes on.
+    """A player's private resume state. A player resumes from its newest checkpoint by iteration.
 
-    Iteration, steps and seconds are the player's own.
+    Iteration, steps and seconds are counted for the player alone.
     """
 
     league: str
     player: str
     digest: str
-    step: int  # environment steps (decisions × worlds) learnt from
+    step: int  # environment steps (decisions × worlds) learned from
     iteration: int  # learning iterations done
     seconds: float  # time spent training
-    arena: ArenaKey | None = None  # what it learnt in last; None before it has learnt
+    arena: ArenaKey | None = None  # arena of the last learning; None before any learning
     created: float = 0.0
 
 
@@ -78,7 +81,7 @@ Origin = Literal["trained", "scripted", "imported"]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A frozen policy for a whole roster: immutable. A scripted opponent is one too: its bytes name the script.
+    """A frozen policy for a whole roster, immutable. A scripted opponent is a snapshot too: its bytes name the script.
 
     `roster` says which sides it can play: the agents' kinds with their observation and action sizes.
     """
@@ -90,26 +93,27 @@ class Snapshot:
     player: str | None = None  # the lineage it belongs to; None for a scripted or imported one
     script: str | None = None
     origin: Origin = "trained"
-    parent: str | None = None  # name of the snapshot that it goes on from
-    initial: bool = False  # the policy that its player began with, by which progress is told
-    arena: ArenaKey | None = None  # what its player had learnt in
+    parent: str | None = None  # name of the snapshot that it continues from
+    initial: bool = False  # the policy that its player began with, the reference for its progress
+    arena: ArenaKey | None = None  # arena in which its player had learned
     settings: str = ""  # the league's configuration (TOML) that was in force
     step: int = 0
     iteration: int = 0
     seconds: float = 0.0
     created: float = 0.0
-    thinned: float | None = None  # when its bytes were given up: what it has played counts, and it plays no more
+    thinned: float | None = None  # when its bytes were removed: its matches count, and it plays no more
 
 
 Purpose = Literal["rating", "gate", "exploit", "exhibition", "training"]
-"""What a match was played for: the league's own rating, a sequential test, a new attacker's measure, or to be seen;
-"training" is an episode as those who learn played it, of which `a` and `b` are the newest snapshots before it."""
-RATED: tuple[Purpose, ...] = ("rating", "gate", "exploit")
-"""Those that count for ratings: their pairs were told before they began, and every game of them is kept."""
+"""Purpose of a match: the league's own rating, a sequential test, the measurement of a new exploiter, or an
+exhibition. "training" is an episode with exploring policies; `a` and `b` are the newest snapshots before it.
+"""
+RATED_PURPOSES: tuple[Purpose, ...] = ("rating", "gate", "exploit")
+"""Purposes whose matches count for ratings: their pairs were chosen before play, and every game of them is kept."""
 
 
 class PairCounts(NamedTuple):
-    """How seed pairs ended for A: two games from one seed, sides swapped, scored together 0, ½, 1, 1½ or 2."""
+    """Results of seed pairs for A: two games from one seed, sides swapped, scored together 0, ½, 1, 1½ or 2."""
 
     ll: int = 0
     ld: int = 0
@@ -120,14 +124,15 @@ class PairCounts(NamedTuple):
 
 @dataclass(frozen=True)
 class Match:
-    """A batch of episodes between two snapshots, counted for A. One row per batch, never per episode.
+    """A batch of episodes between two snapshots, counted for A. One row holds a batch, never a single episode.
 
-    `wins`, `draws` and `losses` count every valid episode; `side_*` count only those in which A played team 0, so that
-    an arena's side advantage can be estimated. `pairs` counts the complete seed pairs (empty where sides were not
-    swapped). `voids` were stopped by unstable physics and count for nobody; `voids_a` and `voids_b` are those of them
-    in which only that side's robots went bad. In an arena of one team there is no B: a win is a success. `seconds` is
-    its part of the device time that was spent on playing, compiling left out (0 where nobody measured it); `due` is set
-    for a batch that was queued while players learnt: the second of the league's training to which it is booked.
+    `wins`, `draws` and `losses` count every valid episode. `side_*` count only the episodes in which A played team 0,
+    so that an arena's side advantage can be estimated. `pairs` counts the complete seed pairs (empty where sides were
+    not swapped). `voids` were stopped by unstable physics and count for nobody. `voids_a` and `voids_b` count the voids
+    in which only that side's robots became unstable. `causes` has the bits of `arenas.physics.void_causes` that
+    occurred in any episode. In an arena of one team there is no B: a win is a success. `seconds` is the match's share
+    of the device time spent on playing, without compilation (0 where it was not measured). `due` is set for a batch
+    that was queued during training: the second of the league's training to which it is booked.
     """
 
     league: str
@@ -150,43 +155,44 @@ class Match:
     voids_b: int = 0
     seconds: float = 0.0
     due: float | None = None
+    causes: int = 0
     id: int = 0  # 1, 2, 3, ... in the order of commits, within the league
     created: float = 0.0
 
 
-class Totals(NamedTuple):
-    """Matches under one ArenaKey, summed for each a and b: all that ratings need of a log, in fewer rows."""
+class MatchTotals(NamedTuple):
+    """Matches of one ArenaKey, summed for each a and b: everything that ratings need of a match log, in fewer rows."""
 
     arena: ArenaKey
     a: Sequence[str]
     b: Sequence[str | None]
-    counts: Sequence[Sequence[int]]  # (rows, 14), in the order of COUNTS
-    created: Sequence[float]  # of the newest match in the row
+    counts: Sequence[Sequence[int]]  # (rows, 14), in the order of COUNT_COLUMNS
+    created: Sequence[float]  # time of the newest match in the row
     newest: int  # id of the newest match of all
 
 
-class Pace(NamedTuple):
-    """When rating matches were played, and what the last ones took that were queued while players learnt."""
+class RatingPace(NamedTuple):
+    """Time of the last rating matches, and the cost of the last ones queued during training."""
 
-    played: float  # when the last one was written, 0 without one
-    due: float | None  # to which second of training the last ones are booked
-    seconds: float | None  # of a device, that they took
+    played: float  # when the last rating match was written, 0 if there is none
+    due: float | None  # the second of training to which the last matches are booked
+    seconds: float | None  # device time that they took
 
 
-COUNTS = (
+COUNT_COLUMNS = (
     "wins", "draws", "losses", "side_wins", "side_draws", "side_losses", *PairCounts._fields,
     "voids", "voids_a", "voids_b",
 )  # fmt: skip
-"""What is summed of matches, by the names of their columns."""
+"""Columns of `matches` that are summed, by name."""
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """What one learning iteration of one player was like. `values` holds figures by name, all finite."""
+    """Metrics of one learning iteration of one player. `values` holds finite numbers by name."""
 
     league: str
     player: str
-    iteration: int  # done, so the first one is 1
+    iteration: int  # iterations done, so the first is 1
     step: int
     seconds: float
     values: Mapping[str, float]
@@ -194,10 +200,11 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class Meeting:
-    """What came of a player's training games against one opponent in one turn, counted for the player.
+    """The outcome of a player's training games against one opponent in one turn, counted for the player.
 
-    A draw is a draw. `opponent` is a snapshot, or a player that sat there as it was then. `chance` is the probability
-    with which each group of worlds drew that snapshot, out of `pool` of them; 1 of 0 for a player.
+    A draw counts as a draw. `opponent` is a snapshot, or a learning player in its state at that time. `chance` is the
+    probability with which each group of worlds drew that snapshot from a pool of `pool` snapshots. A learning player
+    has chance 1 and pool 0.
     """
 
     league: str
@@ -215,14 +222,17 @@ class Meeting:
 
 @dataclass(frozen=True)
 class Phase:
-    """Who of a group learns now, since when, and what will end it. A group's phases are numbered 0, 1, 2, ..."""
+    """The players of a group that learn now, since when, and the condition that ends the phase.
+
+    A group's phases are numbered 0, 1, 2, ...
+    """
 
     league: str
     group: str
     number: int
     learners: tuple[str, ...]  # players
-    since: Mapping[str, int]  # player -> its iteration when the phase began, for every player of the group
-    until: Mapping[str, Any] = field(default_factory=dict)  # e.g. {"iterations": 50}; empty: nothing ends it
+    since: Mapping[str, int]  # player -> its iteration at the start of the phase, for every player of the group
+    until: Mapping[str, Any] = field(default_factory=dict)  # e.g. {"iterations": 50}; empty: no end
     created: float = 0.0
 
 
@@ -233,12 +243,12 @@ JobState = Literal["queued", "leased", "done", "failed"]
 class Job:
     """A unit of work: queued once under its key, leased to one worker at a time, finished once.
 
-    A job that failed waits until `not_before` and is tried again; after enough `failures` it is set aside in the state
-    `failed`, with its `error`, and the league goes on without it.
+    A job that failed waits until `not_before` and is tried again. After enough `failures` it is set aside in the state
+    `failed`, with its `error`, and the league continues without it.
     """
 
     league: str
-    kind: str  # see league/jobs.py
+    kind: str  # see league/state/jobs.py
     key: str  # unique within the league: queueing the same key again changes nothing
     payload: Mapping[str, Any] = field(default_factory=dict)
     priority: int = 0  # larger first, then oldest first
@@ -254,7 +264,7 @@ class Job:
 
 
 class Lease(NamedTuple):
-    """Proof of a claim. Renewing and finishing name all three; a stale one is refused."""
+    """Proof of a claim. Renewing and finishing require all three values; an outdated lease is refused."""
 
     job: int
     holder: str
@@ -263,7 +273,7 @@ class Lease(NamedTuple):
 
 @dataclass(frozen=True)
 class Worker:
-    """A process that said it was alive, and what it was doing then."""
+    """A process that reported to be alive, and what it was doing then."""
 
     id: str  # host:pid:start
     league: str

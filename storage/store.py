@@ -1,12 +1,14 @@
-"""The store: what a league knows, and the only channel between its processes.
+"""The store of leagues: everything that a league knows, and the only channel between its processes.
 
-Every verb is one transaction that takes and returns values of `storage.records`; none hands out a connection or leaves
-a transaction open. Blobs are put first and rows written last, so a crash leaves at most a blob that nobody names.
+Every operation is one transaction that takes and returns values of `storage.records`. No operation hands out a
+connection or leaves a transaction open. Blobs are put before the rows that name them, so a crash leaves at most a blob
+that no row names.
 
-A unit of work is a leased row. Ownership is settled by one conditional write on (job, holder, attempt) and liveness by
-the database's clock, so a worker that was killed, cut off or merely slow can never write a result twice.
+A unit of work is a leased row. One conditional write on (job, holder, attempt) settles its ownership, and the
+database's clock decides whether its holder is alive. A worker that was killed, cut off or merely slow can therefore
+never write a result twice.
 
-Every verb raises Away when the database or its disk cannot serve now; it may then be called again as it was.
+Every operation raises Unavailable when the database or its disk cannot serve now. The same call may then be repeated.
 """
 
 import os
@@ -16,20 +18,22 @@ from typing import Any, Self
 
 import sqlalchemy as sa
 
-from storage import moving, opening, thinning
-from storage import tables as t
-from storage.blobs import open_blobs
-from storage.database import Database
-from storage.leading import Leading
-from storage.log import Log
-from storage.opening import open_database
-from storage.places import blobs_place, database_url, shown
-from storage.players import Players
-from storage.queue import Queue
+from storage.blobs.blobs import open_blobs
+from storage.blobs.identity import IdentifiedBlobs
+from storage.database import opening
+from storage.database import schema as t
+from storage.database.connection import Database
+from storage.database.opening import open_database
+from storage.database.urls import blobs_location, database_url, display_url
+from storage.maintenance import row_transfer, thinning
+from storage.operations.leadership import Leadership
+from storage.operations.players import Players
+from storage.operations.queue import JobQueue
+from storage.operations.results import Results
 
 
-class Store(Leading, Players, Log, Queue):
-    """Leagues with their players, policies, matches and jobs. Threads may share one; each process opens its own."""
+class Store(Leadership, Players, Results, JobQueue):
+    """Leagues with their players, policies, matches and jobs. Threads may share a Store; each process opens its own."""
 
     @classmethod
     def open(
@@ -41,20 +45,21 @@ class Store(Leading, Players, Log, Queue):
     ) -> Self:
         """Open the store in a folder, or at `sqlite:///path/to/league.db`, or at a `postgresql://` URL.
 
-        A folder holds `league.db` and `blobs/`. Blobs are kept at `blobs`, else where ROBOT_LEAGUE_BLOBS says, else
-        beside a SQLite file. With `create`, a store is made where nothing is. Opening a store of today's schema writes
-        nothing. One of an older schema is brought up to date: a SQLite file after a copy of it, a server's where
-        `migrate` asks for it.
+        A folder holds `league.db` and `blobs/`. Blobs are kept at `blobs`, otherwise at ROBOT_LEAGUE_BLOBS, otherwise
+        beside a SQLite file. With `create`, an absent store is made. Opening a store of the current schema writes
+        nothing. A store of an older schema is migrated: a SQLite file always, after a backup copy; a server only with
+        `migrate`.
 
-        Raises NotAStore, OldStore, OutdatedStore, NewerStore, Away (no server now) or StorageError (no permission, no
-        place for blobs, no such kind of URL).
+        Raises NotAStore, OldStore, OutdatedStore, NewerStore, Unavailable (no server now) or StorageError (no
+        permission, no location for blobs, an unsupported kind of URL).
         """
         url = database_url(where)
-        kept = open_blobs(blobs_place(blobs, url))
-        return cls(Database(open_database(url, create, migrate), shown(url)), kept)
+        kept = open_blobs(blobs_location(blobs, url), make=False)
+        database = Database(open_database(url, create, migrate), display_url(url))
+        return cls(database, IdentifiedBlobs(kept, database))
 
     def close(self) -> None:
-        """Close the connections; the store can still be used and then opens new ones."""
+        """Close the connections. The store can still be used and then opens new connections."""
         self._db.engine.dispose()
 
     def __enter__(self) -> Self:
@@ -64,46 +69,57 @@ class Store(Leading, Players, Log, Queue):
         self.close()
 
     def now(self) -> float:
-        """Seconds since the epoch on the database's clock."""
+        """Return the time on the database's clock, in seconds since the epoch."""
         return self._db.rows(sa.select(t.now()))[0][0]
 
+    def made(self) -> float:
+        """Return when the store was created, in seconds since the epoch on its database's clock."""
+        return self._db.rows(sa.select(sa.func.min(t.changes.c.made)).where(t.changes.c.schema > 0))[0][0]
+
     def locked(self, seconds: float = 1.0) -> bool:
-        """Whether some process keeps all others from writing, for so long at least; a server's locks are of its own."""
+        """Return whether a process blocks all writers for at least `seconds`; always False for a server."""
         engine = self._db.engine
         return engine.dialect.name == "sqlite" and opening.is_locked(Path(self.where), seconds)
 
-    # Moving
+    # Transfer between stores
 
     def dump(
         self,
         leagues: Sequence[str],
-        take: Callable[[str, Iterator[dict[str, Any]]], None],
+        write_table: Callable[[str, Iterator[dict[str, Any]]], None],
         newest: bool = False,
         recordings: bool = True,
     ) -> None:
-        """Hand the rows of leagues, as they travel, to `take`, table after table, as they all are at one moment.
+        """Pass the transferable rows of leagues to `write_table`, table by table, as one consistent state.
 
-        `newest`: of the checkpoints only those that players go on from; without `recordings` no match names one.
+        With `newest`, only the checkpoints that players resume from are included. Without `recordings`, no match names
+        a recording.
         """
-        with self._db.unchanging() as db:
-            for name, table in moving.TABLES.items():
-                take(name, self._db.sound(moving.dumped(db, table, leagues, newest, recordings), name))
+        with self._db.repeatable_read() as db:
+            for name, table in row_transfer.TABLES.items():
+                write_table(
+                    name, self._db.checked(row_transfer.dump_rows(db, table, leagues, newest, recordings), name)
+                )
 
     def restore(self, tables: Iterable[tuple[str, Iterable[Mapping[str, Any]]]]) -> None:
-        """Add rows that `dump` gave, whose blobs are there: all of them, or none.
+        """Add all rows that `dump` gave, or none. Their blobs must be present.
 
-        Raises StorageError when a league of that name is there already.
+        Raises StorageError when a league of the same name exists already.
         """
         with self._db.writing() as db:
             for name, rows_of_it in tables:
-                moving.load(db, moving.TABLES[name], rows_of_it)
+                row_transfer.load_rows(db, row_transfer.TABLES[name], rows_of_it)
 
     # Thinning
 
-    def waste(self, policy: thinning.Policy) -> thinning.Waste:
-        """What can go by that policy; changes nothing. Raises StorageError where rows are damaged."""
-        return thinning.find(self._db, self.blobs, policy)
+    def find_removable(self, policy: thinning.RetentionPolicy) -> thinning.Removable:
+        """Find what the policy allows to remove; change nothing. Raises StorageError where rows are damaged."""
+        return thinning.find_removable(self._db, self.blobs, policy)
 
-    def thin(self, waste: thinning.Waste, tell: thinning.Tell = lambda *_: None) -> thinning.Done:
-        """Remove what was found, less what has been put or named since; how much that was. Rows go before blobs."""
-        return thinning.remove(self._db, self.blobs, waste, tell)
+    def thin(
+        self, removable: thinning.Removable, progress: thinning.ProgressCallback = lambda *_: None
+    ) -> thinning.Removed:
+        """Remove what was found, except what has been put or named since. Rows are removed before blobs. Return the
+        counts.
+        """
+        return thinning.remove(self._db, self.blobs, removable, progress)

@@ -1,0 +1,1 @@
+"""Maintenance of whole stores: archives, verification and thinning."""

@@ -1,0 +1,1 @@
+"""Recordings of matches as MCAP files, and what can be read of damaged ones."""
