@@ -1,1 +1,1 @@
-"""Draws and tabulates the values it is handed; opens no database."""
+"""Robot League's dashboards: they draw and tabulate the values that they are given, and open no database."""

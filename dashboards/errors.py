@@ -1,4 +1,4 @@
-"""What can go wrong with showing a match."""
+"""Errors of showing a match."""
 
 
 class ViewerError(RuntimeError):

@@ -1,4 +1,4 @@
-"""A recorded match as bodies in the world: what there is to draw, known only to MuJoCo and numpy."""
+"""A recorded match as bodies in the world: everything there is to draw. Only MuJoCo and numpy are needed."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dashboards.cast import Performer, strangers, team_colour
 from dashboards.errors import ViewerError
-from storage.recording import Recording
+from dashboards.identity import MatchPlayer, anonymous_players, team_colour
+from storage.recordings.recording import Recording
 
 FIRST_COLLISION_GROUP = 3  # MuJoCo's own viewer hides geom groups 3 to 5 too
-EYE, TARGET = np.array([0.4, -1.6, 1.25]), np.array([0.0, -0.1, 0.0])  # of who watches, in radii of the scene
+EYE, TARGET = np.array([0.4, -1.6, 1.25]), np.array([0.0, -0.1, 0.0])  # of the viewer's camera, in radii of the scene
 
 
 @dataclass(frozen=True)
@@ -22,36 +22,39 @@ class Robot:
     agent: str  # e.g. "blue/0"
     side: int
     body: int  # its base
-    size: float  # m from its base to the farthest that is seen of it, when the match begins
+    size: float  # m from its base to its farthest visible point, at the start of the match
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Every body's pose in the world at every step, and who is who."""
+    """Every body's pose in the world at every step, and the players."""
 
-    model: Any  # MjModel, in the colours of those who play
+    model: Any  # MjModel, in the players' colours
     xpos: np.ndarray  # (T, nbody, 3) m
     xquat: np.ndarray  # (T, nbody, 4) wxyz
-    radius: float  # m, how far from the origin there is something to see
-    cast: tuple[Performer, ...]  # by side
-    robots: tuple[Robot, ...]  # that have a body
+    radius: float  # m, distance from the origin within which everything visible lies
+    players: tuple[MatchPlayer, ...]  # by side
+    robots: tuple[Robot, ...]  # the robots that have a body
 
     def label(self, robot: Robot) -> np.ndarray:
-        """(T, 3) Where over a robot its label stands, high enough to leave it in sight from afar."""
+        """Return the positions (T, 3) of a robot's label in m, high enough to leave the robot visible from afar."""
         return self.xpos[:, robot.body] + [0, 0, self.label_height(robot)]
 
     def label_height(self, robot: Robot) -> float:
-        """How far above a robot's base its label stands, m."""
+        """Return the height of a robot's label above its base, m."""
         return 1.2 * robot.size + 0.05 * self.radius
 
 
-def replay(recording: Recording, cast: Sequence[Performer] | None = None) -> Replay:
-    """Put the recorded joint positions through MuJoCo's kinematics, and everybody into his own colours.
+def replay(recording: Recording, players: Sequence[MatchPlayer] | None = None) -> Replay:
+    """Compute all bodies' poses from the recorded joint positions, and paint the robots in their players' colours.
 
-    Raises ViewerError where they do not fit the recording's own arena.
+    Raises ViewerError where the joint positions do not fit the recording's own arena.
     """
     mujoco = _mujoco()
-    model = mujoco.MjModel.from_xml_string(recording.xml)
+    try:
+        model = mujoco.MjModel.from_xml_string(recording.xml)
+    except ValueError as error:
+        raise ViewerError(f"the recording's model cannot be read by MuJoCo: {' '.join(str(error).split())}") from error
     if recording.qpos.shape[1] != model.nq:
         raise ViewerError(f"the recording has {recording.qpos.shape[1]} joint positions, its arena {model.nq}")
     data = mujoco.MjData(model)
@@ -61,20 +64,20 @@ def replay(recording: Recording, cast: Sequence[Performer] | None = None) -> Rep
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         xpos[t], xquat[t] = data.xpos, data.xquat
-    known = tuple(cast or strangers(recording.header))
+    known = tuple(players or anonymous_players(recording.header))
     _paint(model, known)
     robots = tuple(_robots(model, recording, xpos[0]))
     return Replay(model, xpos, xquat, _radius(recording, xpos), known, robots)
 
 
 def distances(recording: Recording, scene: Replay) -> dict[str, np.ndarray]:
-    """(T, teams) m: how far the robot of each team that is nearest to something is from it.
+    """Return the distance of each team's nearest robot to objects, (T, teams) in m, by the object's name.
 
-    "edge" is that of the ring, from inside; another circle goes by its name, and so does what moves freely and is
-    nobody's (a ball, a block), whose middle counts.
+    "edge" is the distance to the ring's edge, from inside. Other circles go by their names, and so do free bodies that
+    belong to no robot (a ball, a block), of which the centre counts.
     """
     found = {}
-    at = [scene.xpos[:, [r.body for r in scene.robots if r.side == side]] for side in range(len(scene.cast))]
+    at = [scene.xpos[:, [r.body for r in scene.robots if r.side == side]] for side in range(len(scene.players))]
     if not all(robots.shape[1] for robots in at):
         return {}
     for name, kind in recording.header.marker_kinds.items():
@@ -91,23 +94,23 @@ def distances(recording: Recording, scene: Replay) -> dict[str, np.ndarray]:
 
 
 def _loose(scene: Replay) -> dict[str, int]:
-    """The bodies with a free joint that are no robot's, by name."""
+    """Return the bodies with a free joint that belong to no robot, by name."""
     model, own = scene.model, {robot.body for robot in scene.robots}
     free = model.jnt_bodyid[model.jnt_type == _mujoco().mjtJoint.mjJNT_FREE]
     return {model.body(body).name.partition("/")[0]: int(body) for body in free if body not in own}
 
 
-def _paint(model: Any, cast: Sequence[Performer]) -> None:
-    """Whatever has a team's colour gets that of who plays there; all at once, lest a new colour is painted over."""
+def _paint(model: Any, players: Sequence[MatchPlayer]) -> None:
+    """Replace each team's colour by its player's colour; all at once, so that no new colour is painted over."""
     for colours in (model.geom_rgba, model.mat_rgba):
         before = colours[:, :3].copy()
-        for side, who in enumerate(cast):
+        for side, who in enumerate(players):
             teams = np.abs(before - team_colour(side)).max(axis=1, initial=0) < 0.005
             colours[teams, :3] = np.array(who.colour) / 255
 
 
 def _robots(model: Any, recording: Recording, xpos: np.ndarray) -> Iterator[Robot]:
-    """The agents that have a body, the base of each and how large it is."""
+    """Yield the agents that have a body, with its base and size."""
     names = {body: model.body(body).name for body in range(1, model.nbody)}
     for side, agents in enumerate(recording.header.agents):
         for agent in agents:
@@ -116,7 +119,7 @@ def _robots(model: Any, recording: Recording, xpos: np.ndarray) -> Iterator[Robo
                 geoms = [g for body in own for kind in visible_geoms(model, body).values() for g in kind]
                 far = xpos[model.geom_bodyid[geoms]] - xpos[own[0]]
                 reach = np.linalg.norm(far, axis=1) + np.linalg.norm(model.geom_pos[geoms], axis=1)
-                half = 0.5 * model.geom_rbound[geoms]  # a sphere round a box reaches farther than most of the box
+                half = 0.5 * model.geom_rbound[geoms]  # a bounding sphere of a box is larger than most of the box
                 yield Robot(agent, side, own[0], float((reach + half).max(initial=0.05)))
 
 
@@ -131,7 +134,7 @@ def _radius(recording: Recording, xpos: np.ndarray) -> float:
 
 
 def visible_geoms(model: Any, body: int) -> dict[str, list[int]]:
-    """A body's geoms that are meant to be seen, by kind of shape, e.g. {"box": [3], "capsule": [4, 5]}."""
+    """Return a body's visible geoms by kind of shape, e.g. {"box": [3], "capsule": [4, 5]}."""
     geom_type = _mujoco().mjtGeom
     kinds: dict[str, list[int]] = defaultdict(list)
     for geom in np.flatnonzero(model.geom_bodyid == body):
@@ -141,7 +144,9 @@ def visible_geoms(model: Any, body: int) -> dict[str, list[int]]:
 
 
 def rgba(model: Any, geoms: list[int]) -> np.ndarray:
-    """(n, 4) bytes. As in MuJoCo, a geom's own colour wins over its material's unless it is the default grey."""
+    """Return colours as bytes (n, 4). As in MuJoCo, a geom's own colour overrides its material's unless it is default
+    grey.
+    """
     colours = model.geom_rgba[geoms].copy()
     for i, geom in enumerate(geoms):
         if model.geom_matid[geom] >= 0 and np.allclose(colours[i], (0.5, 0.5, 0.5, 1)):
@@ -149,7 +154,7 @@ def rgba(model: Any, geoms: list[int]) -> np.ndarray:
     return np.round(colours * 255).astype(np.uint8)
 
 
-def turn(quaternions: np.ndarray, vectors: Any) -> np.ndarray:
+def rotate(quaternions: np.ndarray, vectors: Any) -> np.ndarray:
     """Rotate vectors (n, 3) or (3,) by unit quaternions (n, 4), wxyz: v + 2w (u × v) + 2u × (u × v)."""
     w, u = quaternions[:, :1], quaternions[:, 1:]
     cross = np.cross(u, np.broadcast_to(vectors, u.shape))
@@ -157,6 +162,6 @@ def turn(quaternions: np.ndarray, vectors: Any) -> np.ndarray:
 
 
 def _mujoco() -> Any:
-    import mujoco  # late, because it is slow to load, and as Any, because its type stubs lack most of it
+    import mujoco  # late, because it loads slowly, and as Any, because its type stubs are incomplete
 
     return mujoco

@@ -1,4 +1,4 @@
-"""What a terminal shows beside text: colours, sparklines, gauges. Pipes, files and dumb terminals get plain text."""
+"""Terminal output beyond text: colours, sparklines, progress bars. Pipes, files and dumb terminals get plain text."""
 
 import os
 import sys
@@ -6,18 +6,18 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-STYLES = ("bright_blue", "bright_red", "green", "yellow", "magenta", "cyan")  # in the terminal's own shades
+STYLES = ("bright_blue", "bright_red", "green", "yellow", "magenta", "cyan")  # the terminal's own colours
 WIDTH = 8  # columns of a sparkline
-GAUGE = 20  # columns of a gauge
+BAR_WIDTH = 20  # columns of a progress bar
 
 
-def is_lit() -> bool:
-    """Whether what is printed goes to a terminal that knows colours."""
+def supports_colour() -> bool:
+    """Return whether standard output is a terminal with colours."""
     return sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
-def spark(values: Sequence[float], low: float, high: float) -> str:
-    """Values between two bounds as a line of at most 8 blocks, each the mean of as many neighbours as it takes."""
+def sparkline(values: Sequence[float], low: float, high: float) -> str:
+    """Return values between two bounds as at most 8 block characters, each the mean of a group of neighbours."""
     size = -(-len(values) // WIDTH) or 1
     groups = [values[i : i + size] for i in range(0, len(values), size)]
     span = max(high - low, 1e-9)
@@ -25,13 +25,13 @@ def spark(values: Sequence[float], low: float, high: float) -> str:
     return "".join(BLOCKS[round(min(max(share, 0.0), 1.0) * (len(BLOCKS) - 1))] for share in shares)
 
 
-def gauge(share: float) -> str:
-    """How much of something is done, as a bar and in per cent."""
+def progress_bar(share: float) -> str:
+    """Return a completed share as a bar and a percentage."""
     share = min(max(share, 0.0), 1.0)
-    full = int(share * GAUGE)
-    return "━" * full + "─" * (GAUGE - full) + f" {int(100 * share)} %"
+    full = int(share * BAR_WIDTH)
+    return "━" * full + "─" * (BAR_WIDTH - full) + f" {int(100 * share)} %"
 
 
 def styles(owners: Iterable[str]) -> dict[str, str]:
-    """A colour for each owner, by its place among them."""
+    """Return a colour for each owner, by its position among the sorted owners."""
     return dict(zip(sorted(set(owners)), cycle(STYLES), strict=False))

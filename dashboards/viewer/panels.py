@@ -1,4 +1,4 @@
-"""What stands beside the world of a match: who plays, curves over time, events; and how all of it is laid out."""
+"""The panels beside the world of a match: players, curves over time, events; and the layout of all."""
 
 import math
 from collections.abc import Iterator
@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from dashboards.cast import Colour, Performer, shape
+from dashboards.identity import Colour, MatchPlayer, shape
 from dashboards.replay import EYE, TARGET, Replay, distances
 from dashboards.viewer.scene import times
-from storage.recording import Recording
+from storage.recordings.recording import Recording
 
 TERM_COLOURS = ((102, 194, 165), (252, 141, 98), (141, 160, 203), (231, 138, 195), (166, 216, 84), (255, 217, 47))
 BACKGROUND = (17, 21, 30)
@@ -27,10 +27,10 @@ def draw_panels(rr: Any, stream: Any, recording: Recording, scene: Replay) -> No
 
 
 def _curves(recording: Recording, scene: Replay) -> Iterator[tuple[list[str], str, Colour, np.ndarray]]:
-    """Entity path, name, colour and values (T,) of each line: in a player's colour what is one player's."""
+    """Yield entity path, name, colour and values (T,) of each line; a player's lines have its colour."""
     by_team = {"score": recording.score, "reward": recording.reward}
     by_team |= {f"distance/{name}": values for name, values in distances(recording, scene).items()}
-    for team, (name, who) in enumerate(zip(recording.header.teams, scene.cast, strict=True)):
+    for team, (name, who) in enumerate(zip(recording.header.teams, scene.players, strict=True)):
         for what, values in by_team.items():
             yield [*what.split("/"), name], f"{who.name} ({name})", who.colour, values[:, team]
         for number, (term, values) in enumerate(recording.terms.items()):
@@ -41,15 +41,15 @@ def _curves(recording: Recording, scene: Replay) -> Iterator[tuple[list[str], st
         yield ["value", *judged.split("/")], f"{who.name} ({judged})", who.colour, values
 
 
-def _player(recording: Recording, scene: Replay, judged: str) -> Performer:
-    """Who plays a team, or one of its agents."""
+def _player(recording: Recording, scene: Replay, judged: str) -> MatchPlayer:
+    """Return the player of a team, or of one of its agents."""
     header = recording.header
-    named = zip(header.teams, header.agents, scene.cast, strict=True)
+    named = zip(header.teams, header.agents, scene.players, strict=True)
     return next(who for team, agents, who in named if judged in (team, *agents))
 
 
 def _draw_events(rr: Any, stream: Any, recording: Recording) -> None:
-    """Events as lines of a log, and each text as a lane of its own on the time line, lit for a moment."""
+    """Log events as lines of a log, and each text as a lane of its own on the timeline, lit for a moment."""
     if not recording.events:
         return
     steps = np.array([step for step, _ in recording.events])
@@ -67,7 +67,7 @@ def _draw_events(rr: Any, stream: Any, recording: Recording) -> None:
 
 def _markdown(recording: Recording, scene: Replay) -> str:
     header = recording.header
-    sides = zip(header.teams, scene.cast, header.score, header.agents, strict=True)
+    sides = zip(header.teams, scene.players, header.score, header.agents, strict=True)
     rows = [
         f"| {who.name} | {who.role} | {who.rating} | {team}, {shape(side)[0]} | {score:g} | {', '.join(agents)} |"
         for side, (team, who, score, agents) in enumerate(sides)
@@ -78,7 +78,7 @@ def _markdown(recording: Recording, scene: Replay) -> str:
 
 
 def blueprint(rr: Any, recording: Recording, scene: Replay, panels: bool = True) -> Any:
-    """The world on the left, the rest in tabs on the right; `panels`: with the viewer's own controls round it."""
+    """Return the layout: the world on the left, tabs on the right; with `panels` also the viewer's own controls."""
     rrb = rr.blueprint
     plots = _plots(rr, recording, scene)
     return rrb.Blueprint(
@@ -121,7 +121,7 @@ def _world(rr: Any, recording: Recording, scene: Replay) -> Any:
         eye_controls=rrb.EyeControls3D(
             position=EYE * scene.radius, look_target=TARGET * scene.radius, eye_up=(0.0, 0.0, 1.0)
         ),
-        # Just above the ground, which would hide the half of it that lies below.
+        # Just above the ground, which would hide its lower half.
         line_grid=rrb.LineGrid3D(
             visible=True,
             spacing=grid_spacing(scene.radius),
@@ -134,7 +134,9 @@ def _world(rr: Any, recording: Recording, scene: Replay) -> Any:
 
 
 def _plots(rr: Any, recording: Recording, scene: Replay) -> list[list[Any]]:
-    """Tabs of plots, most telling first: how far from edge or ball, then what the teams' rewards are made of."""
+    """Return tabs of plots, the most informative first: distances to edge or ball, then the terms of the teams'
+    rewards.
+    """
     rrb = rr.blueprint
 
     def plot(path: list[str], name: str) -> Any:
@@ -157,6 +159,6 @@ def _event_views(rr: Any) -> list[Any]:
 
 
 def grid_spacing(radius: float) -> float:
-    """About six cells across the arena, of a round size: 1, 2 or 5 times a power of ten, m."""
+    """Return about a sixth of the arena's size, rounded: 1, 2 or 5 times a power of ten, m."""
     power = 10.0 ** math.floor(math.log10(radius / 3))
     return power * max(step for step in (1, 2, 5) if step * power <= radius / 3)

@@ -1,4 +1,4 @@
-"""What stands in the world of a match: bodies, markers, and who is who. Poses are written column by column.
+"""The 3D scene of a match: bodies, markers and players. Poses are written column by column.
 
 Boxes, spheres, ellipsoids, cylinders, capsules, planes and meshes are drawn; height fields are not.
 """
@@ -8,39 +8,39 @@ from typing import Any
 
 import numpy as np
 
-from dashboards.cast import shape
 from dashboards.errors import ViewerError
-from dashboards.replay import Replay, rgba, turn, visible_geoms
-from storage.recording import Recording
+from dashboards.identity import shape
+from dashboards.replay import Replay, rgba, rotate, visible_geoms
+from storage.recordings.recording import Recording
 
 MARKER_COLOURS = {"circle": (255, 200, 60), "segment": (255, 70, 60), "sphere": (120, 200, 255), "ball": (255, 200, 60)}
 WHITE = (235, 238, 245)
 
 
 def times(rr: Any, recording: Recording, steps: Any = slice(None)) -> list[Any]:
-    """Both timelines at these steps: their numbers, and seconds since the match began."""
+    """Return both timelines at these steps: step numbers, and seconds since the start of the match."""
     step = np.arange(recording.steps)[steps]
     return [rr.TimeColumn("step", sequence=step), rr.TimeColumn("sim_time", duration=recording.time[steps])]
 
 
 def draw_scene(rr: Any, stream: Any, recording: Recording, scene: Replay) -> None:
-    """Log all that stands below /world. Raises ViewerError for a marker of a kind that cannot be drawn."""
+    """Log everything below /world. Raises ViewerError for a marker of an unknown kind."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _draw_bodies(rr, stream, recording, scene)
     _draw_markers(rr, stream, recording, thickness=0.006 * scene.radius)
-    _draw_people(rr, stream, recording, scene)
+    _draw_players(rr, stream, recording, scene)
 
 
-def _draw_people(rr: Any, stream: Any, recording: Recording, scene: Replay) -> None:
-    """Over each robot who plays it; round it on the ground its side's shape; behind it where it was of late."""
+def _draw_players(rr: Any, stream: Any, recording: Recording, scene: Replay) -> None:
+    """Log each robot's player above it, its side's shape on the ground around it, and its recent path behind it."""
     when, thin = times(rr, recording), 0.005 * scene.radius
     for robot in scene.robots:
-        who, (_, corners) = scene.cast[robot.side], shape(robot.side)
+        player, (_, corners) = scene.players[robot.side], shape(robot.side)
         at = scene.xpos[:, robot.body]
         over, below, ground = scene.label(robot), at * [1, 1, 0], np.array([0, 0, thin])
-        label = rr.Points3D.from_fields(colors=[who.colour], labels=[who.label], radii=[0.0], show_labels=True)
+        label = rr.Points3D.from_fields(colors=[player.colour], labels=[player.label], radii=[0.0], show_labels=True)
         side = rr.LineStrips3D(circles(np.array([[0, 0, robot.size]]), thin, corners), colors=[WHITE], radii=[thin])
-        trail = rr.Points3D.from_fields(colors=[who.colour], radii=[thin])
+        trail = rr.Points3D.from_fields(colors=[player.colour], radii=[thin])
         for what, look, move in (
             ("labels", label, rr.Points3D.columns(positions=over)),
             ("sides", side, rr.Transform3D.columns(translation=below)),
@@ -65,10 +65,10 @@ def _draw_bodies(rr: Any, stream: Any, recording: Recording, scene: Replay) -> N
 
 
 def _body_paths(rr: Any, model: Any) -> dict[int, str]:
-    """Body id -> entity path: `blue/0/chassis` is /world/blue/0/chassis, the world itself /world/ground.
+    """Return body id -> entity path: `blue/0/chassis` is /world/blue/0/chassis, the world itself /world/ground.
 
-    In rerun an entity moves with those above it, while our poses are in the world: where one body's name leads on from
-    another's (`arm`, `arm/hand`), names are one path element each.
+    In rerun an entity moves with its parents, while these poses are in the world frame. If one body's name extends
+    another's (`arm`, `arm/hand`), each name is therefore one path element.
     """
     names = {0: "ground"} | {body: model.body(body).name or f"body{body}" for body in range(1, model.nbody)}
     nested = any(a.startswith(f"{b}/") for a in names.values() for b in names.values())
@@ -77,7 +77,7 @@ def _body_paths(rr: Any, model: Any) -> dict[int, str]:
 
 
 def _draw_geoms(rr: Any, stream: Any, model: Any, body: int, path: str, extent: float) -> bool:
-    """Log a body's visible geoms as static children, one entity per kind of shape; say whether there were any."""
+    """Log a body's visible geoms as static children, one entity per kind of shape; return whether there were any."""
     kinds = visible_geoms(model, body)
     for kind, geoms in kinds.items():
         if kind == "mesh":
@@ -91,7 +91,7 @@ def _draw_geoms(rr: Any, stream: Any, model: Any, body: int, path: str, extent: 
 
 
 def _shapes(rr: Any, model: Any, kind: str, geoms: list[int], extent: float) -> Any:
-    """Geoms of one kind as one batch in their body's frame. MuJoCo's sizes are half sizes and radii."""
+    """Return geoms of one kind as one batch in their body's frame. MuJoCo's sizes are half sizes and radii."""
     size, centers, rotation = model.geom_size[geoms], model.geom_pos[geoms], model.geom_quat[geoms]
     look = {
         "quaternions": rotation[:, [1, 2, 3, 0]],
@@ -99,9 +99,9 @@ def _shapes(rr: Any, model: Any, kind: str, geoms: list[int], extent: float) -> 
         "fill_mode": rr.components.FillMode.Solid,
     }
     match kind:
-        case "plane":  # a thin box below it; size 0 means endless
+        case "plane":  # a thin box below it; size 0 means infinite
             half = np.column_stack([np.where(size[:, :2] == 0, extent, size[:, :2]), np.full(len(geoms), 0.01)])
-            return rr.Boxes3D(half_sizes=half, centers=centers + turn(rotation, [0, 0, -0.01]), **look)
+            return rr.Boxes3D(half_sizes=half, centers=centers + rotate(rotation, [0, 0, -0.01]), **look)
         case "box":
             return rr.Boxes3D(half_sizes=size, centers=centers, **look)
         case "sphere":
@@ -110,8 +110,8 @@ def _shapes(rr: Any, model: Any, kind: str, geoms: list[int], extent: float) -> 
             return rr.Ellipsoids3D(half_sizes=size, centers=centers, **look)
         case "cylinder":
             return rr.Cylinders3D(lengths=2 * size[:, 1], radii=size[:, 0], centers=centers, **look)
-        case "capsule":  # rerun's start at z = 0, MuJoCo's are centred
-            starts = centers + turn(rotation, np.outer(size[:, 1], [0, 0, -1]))
+        case "capsule":  # rerun's capsules start at z = 0, MuJoCo's are centred
+            starts = centers + rotate(rotation, np.outer(size[:, 1], [0, 0, -1]))
             return rr.Capsules3D(lengths=2 * size[:, 1], radii=size[:, 0], translations=starts, **look)
     return None
 
@@ -132,7 +132,7 @@ def _draw_markers(rr: Any, stream: Any, recording: Recording, thickness: float) 
             known = ", ".join(map(repr, MARKER_COLOURS))
             raise ViewerError(f"marker {name!r} is a {kind!r}; the viewer draws: {known}")
         values = recording.markers[name]
-        seen = np.round(values / (0.1 * thickness)) if kind == "circle" else values  # a line is slow to write
+        seen = np.round(values / (0.1 * thickness)) if kind == "circle" else values  # line strips are slow to write
         changed = np.flatnonzero(np.r_[True, np.any(np.diff(seen, axis=0) != 0, axis=1)])
         look, shapes = _marker(rr, kind, values[changed], thickness)
         path = rr.new_entity_path(["world", "markers", name])
@@ -141,7 +141,7 @@ def _draw_markers(rr: Any, stream: Any, recording: Recording, thickness: float) 
 
 
 def _marker(rr: Any, kind: str, values: np.ndarray, thickness: float) -> tuple[Any, Any]:
-    """How a marker looks at all times, and its shapes over time from values (T, m)."""
+    """Return a marker's constant look, and its shapes over time from values (T, m)."""
     colours = [MARKER_COLOURS[kind]]
     if kind in ("sphere", "ball"):
         fill = rr.components.FillMode.Solid if kind == "ball" else rr.components.FillMode.MajorWireframe
@@ -153,7 +153,7 @@ def _marker(rr: Any, kind: str, values: np.ndarray, thickness: float) -> tuple[A
 
 
 def circles(values: np.ndarray, thickness: float, corners: int = 64) -> np.ndarray:
-    """Circles or polygons (T, corners + 1, 3) from x, y and radius (T, 3), on the ground rather than half in it."""
+    """Return circles or polygons (T, corners + 1, 3) from x, y and radius (T, 3), on the ground, not half in it."""
     angles = math.pi / corners + np.linspace(0, 2 * math.pi, corners + 1)
     x, y, radius = (values[:, i, None] for i in range(3))
     height = np.full((len(values), len(angles)), thickness)

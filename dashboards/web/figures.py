@@ -1,6 +1,6 @@
 """A league's figures as values, in Plotly's form: `{"data": [...], "layout": {...}}`.
 
-They hold no colour of paper, text or grid: the page gives those, by whether its reader prefers dark or light.
+They set no colour of paper, text or grid: the page sets those, for its reader's dark or light theme.
 """
 
 import math
@@ -13,20 +13,22 @@ Figure = dict[str, Any]
 Rows = Sequence[Mapping[str, Any]]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
-"""Told apart by most colour-blind readers, on dark and light (Okabe and Ito's, but for two)."""
+"""Colours that most colour-blind readers can distinguish, on dark and light (Okabe and Ito's, except for two)."""
 DASHES = ("solid", "dash", "dot", "dashdot")  # with more players than colours
 SCORES = [[0.0, "#d55e00"], [0.5, "#e8e8e8"], [1.0, "#0072b2"]]
 POINTS = 400
-"""Points of a line: more could not be told apart."""
+"""Maximum number of points of a line: more could not be distinguished."""
 BARS = 40
-"""Rows of a figure that has one for each snapshot."""
+"""Maximum number of rows of a figure with one row for each snapshot."""
+CELLS = 100
+"""Maximum number of rows and columns of a heat map."""
 
 
 def ladder(rows: Rows, merit: str = "elo") -> Figure:
-    """The best-rated snapshots with their 95 % intervals, the best on top.
+    """Return the best-rated snapshots with their 95 % intervals, the best on top.
 
     Args:
-        rows: best first, with `name`, `player` (None for a script), the merit, and what bounds it: `low` and `high`, or
+        rows: best first, with `name`, `player` (None for a script), the merit, and its bounds: `low` and `high`, or
             `success_low` and `success_high`.
         merit: `elo` or `success`.
     """
@@ -52,10 +54,10 @@ def ladder(rows: Rows, merit: str = "elo") -> Figure:
 
 
 def ratings(rows: Rows, merit: str = "elo") -> Figure:
-    """Ratings over the training steps of each player, with 95 % bands; what does not learn as level lines.
+    """Return ratings over the training steps of each player, with 95 % bands; fixed players as level lines.
 
     Args:
-        rows: in any order, as for `ladder`, with `steps` (environment steps; None for what does not learn).
+        rows: in any order, as for `ladder`, with `steps` (environment steps; None for a fixed player).
         merit: `elo` or `success`.
     """
     low, high = bounds(merit)
@@ -86,13 +88,13 @@ def ratings(rows: Rows, merit: str = "elo") -> Figure:
 
 
 def payoff(rows: Sequence[str], columns: Sequence[str], scores: np.ndarray, games: np.ndarray) -> Figure:
-    """Scores of rows against columns as a heat map; what has not met is left blank.
+    """Return scores of rows against columns as a heat map; pairs that have not met are left blank.
 
     Args:
         rows: (N,) names, the first on top.
         columns: (M,) names.
-        scores: (N, M) in [0, 1], nan where two have not met.
-        games: (N, M) how many were played.
+        scores: (N, M) in [0, 1], nan for pairs that have not met.
+        games: (N, M) numbers of games played.
     """
     cells = [[None if math.isnan(x) else round(x, 4) for x in row] for row in scores.tolist()]
     heat = {
@@ -108,10 +110,10 @@ def payoff(rows: Sequence[str], columns: Sequence[str], scores: np.ndarray, game
 
 
 def mixture(opponents: Rows) -> Figure:
-    """With which probability a learner meets each opponent, the likeliest first.
+    """Return the probability with which a learner meets each opponent, the likeliest first.
 
     Args:
-        opponents: with `opponent`, `probability` and `present`, whether it is met as it is now.
+        opponents: with `opponent`, `probability` and `present`, True for a learning player in its current state.
     """
     met = sorted((row for row in opponents if row["probability"] > 0), key=lambda row: -row["probability"])
     shown, rest = met[:BARS], sum(row["probability"] for row in met[BARS:])
@@ -128,14 +130,14 @@ def mixture(opponents: Rows) -> Figure:
 
 
 def curves(points: Rows, key: str, title: str, over: str = "steps", across: str = "training steps") -> Figure:
-    """A recorded figure of learning over steps, a line for each player.
+    """Return a recorded metric of learning over steps, a line for each player.
 
     Args:
-        points: one of each iteration, in its order, with `player`, `over`, and `key` where it was recorded.
-        key: which figure.
-        title: what it is called.
-        over: what it is drawn over.
-        across: what that is called.
+        points: one for each iteration, in order, with `player`, `over`, and `key` where it was recorded.
+        key: the metric.
+        title: the metric's name on the page.
+        over: the key of the horizontal axis.
+        across: the title of the horizontal axis.
     """
     traces = []
     for owner, style in _styles(point["player"] for point in points).items():
@@ -146,10 +148,10 @@ def curves(points: Rows, key: str, title: str, over: str = "steps", across: str 
 
 
 def lineage(snapshots: Rows) -> Figure:
-    """Which snapshot goes on from which: a row for each player, a line from each to its parent.
+    """Return the ancestry of snapshots: a row for each player, a line from each snapshot to its parent.
 
     Args:
-        snapshots: with `name`, `player` (None for what belongs to none), `parent` (a name or None) and `steps`.
+        snapshots: with `name`, `player` (None without a player), `parent` (a name or None) and `steps`.
     """
     place = {s["name"]: (s["steps"], s["player"] or "fixed") for s in snapshots}
     ends = [(place[s["parent"]], place[s["name"]]) for s in snapshots if s["parent"] in place]
@@ -173,29 +175,19 @@ def lineage(snapshots: Rows) -> Figure:
 
 
 def bounds(merit: str) -> tuple[str, str]:
-    """The keys of a merit's 95 % interval in a row of ratings."""
+    """Return the keys of a merit's 95 % interval in a row of ratings."""
     return ("low", "high") if merit == "elo" else (f"{merit}_low", f"{merit}_high")
 
 
 def thinned(points: Sequence[tuple[float, float]], most: int = POINTS) -> tuple[list[float], list[float]]:
-    """At most so many points, as x and y: means of y over as many neighbours as it takes, at the last one's x."""
+    """Return at most `most` points as x and y: means of y over groups of neighbours, at the last x of each group."""
     size = -(-len(points) // most) or 1
     groups = [points[i : i + size] for i in range(0, len(points), size)]
     return [group[-1][0] for group in groups], [sum(y for _, y in group) / len(group) for group in groups]
 
 
-def busiest(games: np.ndarray, most: int = BARS) -> list[int]:
-    """Positions of at most so many rows of a table of games, those that have met the most columns, in their order.
-
-    Of those that have met equally many the later ones are taken, which are the newer ones where rows stand by age.
-    """
-    met = (games > 0).sum(1)
-    ranked = np.lexsort((np.arange(len(met)), met))
-    return sorted(ranked[::-1][:most].tolist())
-
-
 def _styles(owners: Iterable[str | None]) -> dict[str | None, dict[str, Any]]:
-    """How each owner's line looks, in the order of their names: the same in each figure with the same owners."""
+    """Return each owner's line style, in order of names: equal in all figures with the same owners."""
     named = sorted({owner for owner in owners if owner is not None})
     styles: dict[str | None, dict[str, Any]] = {
         name: {"color": COLOURS[i % 7], "dash": DASHES[i // 7 % 4], "width": 2} for i, name in enumerate(named)

@@ -1,4 +1,4 @@
-"""Rerun's viewer without a window: its process, what it leaves on the disk, and why there is no picture."""
+"""Rerun's viewer without a window: its process, its temporary files, and the reasons for a missing picture."""
 
 import fcntl
 import io
@@ -19,12 +19,16 @@ from typing import IO, Any, TypeVar
 from dashboards.errors import ViewerError
 
 NO_DRIVER = "a picture needs a graphics driver (Vulkan); on Debian or Ubuntu: apt-get install mesa-vulkan-drivers"
-ALIKE = 3  # pictures in a row that must be equal; two is too few for a viewer that gets a tenth of a processor
-PATIENCE = 180.0  # s that a picture may take; two to three on an idle machine
+STABLE_PICTURES = 3  # equal pictures in a row; two are too few for a viewer that gets a tenth of a processor
+PATIENCE = 180.0  # s, limit for a picture, which takes two to three on an idle machine
 TITLE_BAR = 36  # pixels, empty even where the viewer's top panel is hidden
+LOCAL = "127.0.0.1"
+"""Every listener's address, unreachable from other machines. Rerun's own default is 0.0.0.0, all addresses."""
+WINDOWS: list[subprocess.Popen[bytes]] = []
+"""Windows that this process has opened; referenced here, since Python warns of an unreferenced running process."""
 FOLDER, LOG = "robot-league-viewer-", "viewer.log"
 
-# What the viewer's process runs before it becomes the viewer: from then on the kernel ends it when we end, however.
+# Code of the viewer's process before it becomes the viewer: the kernel then ends it when this process ends.
 LAUNCH = """
 import ctypes, os, signal, sys
 starter, *command = sys.argv[1:]
@@ -50,10 +54,10 @@ class HeadlessViewer:
         self._started = time.monotonic()
         self.url = f"rerun+http://127.0.0.1:{port}/proxy"
         self._client = self._ask(lambda: ViewerClient.connect(self.url))
-        self._ask(self._client.take_screenshot)  # without a driver it answers other questions before it ends
+        self._ask(self._client.take_screenshot)  # without a driver it answers other requests before it ends
 
     def state(self) -> Any:
-        """The viewer's own account of its recordings and views, a `rerun.experimental.ViewerState`."""
+        """Return the viewer's own description of its recordings and views, a `rerun.experimental.ViewerState`."""
         return self._ask(self._client.get_state)
 
     def open(self, what: str) -> None:
@@ -61,14 +65,14 @@ class HeadlessViewer:
         self._ask(lambda: self._client.open(what))
 
     def picture(self, rrd: Path, timeline: str, seconds: float) -> bytes:
-        """A PNG of a file at a moment of one of its timelines.
+        """Return a PNG of a file at a moment of one of its timelines.
 
-        The viewer loads while it draws, and its first pictures may hold a bubble with a message.
+        The viewer loads while it draws, and its first pictures may show a message bubble.
         """
         self.open(str(rrd))
         self._ask(lambda: self._client.set_time(timeline, duration=seconds, play_state="paused"))
         last: list[bytes] = []
-        while len(last) < ALIKE:
+        while len(last) < STABLE_PICTURES:
             time.sleep(0.4)
             picture = self._ask(self._client.take_screenshot)
             last = [*last, picture] if picture in last[:1] and not self.state().loading else [picture]
@@ -83,11 +87,13 @@ class HeadlessViewer:
         return out.getvalue()
 
     def _ask(self, call: Callable[[], Answer]) -> Answer:
-        """What the viewer answers, however long it takes it to start and load; a viewer that has ended says why."""
+        """Return the viewer's answer once it has started and loaded. Raises ViewerError with the reason if it has
+        ended.
+        """
         while True:
             try:
                 return call()
-            except (OSError, RuntimeError, ValueError) as error:  # what rerun raises while there is no answer
+            except (OSError, RuntimeError, ValueError) as error:  # rerun's errors while there is no answer
                 if self.process.poll() is not None:
                     why = _why_no_picture(self.process.returncode, self._log)
                     if time.monotonic() - self._started >= PATIENCE:
@@ -98,15 +104,16 @@ class HeadlessViewer:
 
 @contextmanager
 def headless_viewer(size: tuple[int, int]) -> Iterator[HeadlessViewer]:
-    """A viewer that ends with the block, or with this process; raises ViewerError where there can be none.
+    """Yield a viewer that ends with the block, or with this process. Raises ViewerError where none can run.
 
-    Started here rather than by `ViewerClient.spawn`, which cannot set the size of the picture and hides why it failed.
+    It is not started by `ViewerClient.spawn`, which cannot set the size of the picture and hides the reason of a
+    failure.
     """
-    with logged() as log:
+    with viewer_log() as log:
         port = free_port()
         window = f"{size[0]}x{size[1] + TITLE_BAR}"
-        process = start(log, "--headless", "--window-size", window, "--port", str(port), "--hide-welcome-screen")
-        patience = threading.Timer(PATIENCE, process.kill)  # a call to a viewer that hangs would never return
+        process = start_rerun(log, "--headless", "--window-size", window, "--port", str(port), "--hide-welcome-screen")
+        patience = threading.Timer(PATIENCE, process.kill)  # a call to a hanging viewer would never return
         patience.start()
         try:
             yield HeadlessViewer(process, log, port, size)
@@ -116,41 +123,73 @@ def headless_viewer(size: tuple[int, int]) -> Iterator[HeadlessViewer]:
             process.wait()
 
 
-def start(log: IO[bytes], *options: str) -> subprocess.Popen[bytes]:
-    """Rerun's own program, which ends when this process does; it listens to this machine alone, and says into `log`."""
+def start_rerun(log: IO[bytes], *options: str) -> subprocess.Popen[bytes]:
+    """Start rerun's own program: it ends with this process, listens to this machine alone, and writes to `log`."""
     folder = os.path.dirname(log.name)
-    local = ("--host", "127.0.0.1") if options[:1] == ("server",) else ("--bind", "127.0.0.1")
-    environment = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error", "TMPDIR": folder}  # it shows lesser logs as bubbles
+    local = ("--host", LOCAL) if options[:1] == ("server",) else ("--bind", LOCAL)
+    environment = {
+        "RERUN_APP_ONLY": "true",
+        "RUST_LOG": "error",
+        "TMPDIR": folder,
+    }  # lesser messages would appear as bubbles
     return subprocess.Popen(
         [sys.executable, "-I", "-c", LAUNCH, str(os.getpid()), executable(), *options, *local],
         env=os.environ | environment,
         stdin=subprocess.DEVNULL,
         stdout=log,
         stderr=log,
-        start_new_session=True,  # a Ctrl-C is ours to handle
+        start_new_session=True,  # this process alone handles Ctrl-C
     )
 
 
+def start_window(*options: str) -> subprocess.Popen[bytes]:
+    """Start rerun's own program with a window, which outlives this process. It listens to this machine alone."""
+    process = subprocess.Popen(
+        [executable(), *options, "--bind", LOCAL],
+        env=os.environ | {"RERUN_APP_ONLY": "true"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    WINDOWS.append(process)
+    return process
+
+
+def open_window(port: int, otherwise: str) -> None:
+    """Ensure that a viewer listens on a port: a running one, or a new window. Raises ViewerError where none opens."""
+    process, began = None, time.monotonic()
+    while True:
+        with suppress(OSError), socket.create_connection((LOCAL, port), timeout=1):
+            return
+        if process is None:
+            process = start_window("--port", str(port), "--hide-welcome-screen", "--expect-data-soon")
+        elif process.poll() is not None or time.monotonic() - began > PATIENCE:
+            process.kill()
+            raise ViewerError(otherwise)
+        time.sleep(0.1)
+
+
 def executable() -> str:
-    """The viewer itself: the `rerun` command is a Python program that starts it as a child, which outlives it."""
+    """Return the viewer's binary: the `rerun` command is a Python program whose child, the viewer, outlives it."""
     import rerun_cli
 
     return os.environ.get("RERUN_CLI_PATH") or str(Path(str(rerun_cli.__file__)).with_name("rerun"))
 
 
 @contextmanager
-def logged() -> Iterator[IO[bytes]]:
-    """A log in a folder of its own, which ends with the block."""
-    remove_what_the_killed_left()
+def viewer_log() -> Iterator[IO[bytes]]:
+    """Yield a log in a folder of its own, which is removed at the end of the block."""
+    remove_abandoned_folders()
     with tempfile.TemporaryDirectory(prefix=FOLDER, ignore_cleanup_errors=True) as folder, _locked_log(folder) as log:
         yield log
 
 
 def wait_until_it_listens(process: subprocess.Popen[bytes], log: IO[bytes], port: int) -> None:
-    """Return when somebody answers on a port. Raises ViewerError where the process ends before, or takes too long."""
+    """Return when a process answers on a port. Raises ViewerError where `process` ends or takes too long."""
     began = time.monotonic()
     while True:
-        with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
+        with suppress(OSError), socket.create_connection((LOCAL, port), timeout=1):
             return
         if process.poll() is not None:
             raise ViewerError(_why_no_picture(process.returncode, log))
@@ -160,24 +199,24 @@ def wait_until_it_listens(process: subprocess.Popen[bytes], log: IO[bytes], port
 
 
 def free_port() -> int:
-    """A port of this machine on which nobody listens now."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
+    """Return a port of this machine on which no process listens now."""
+    with socket.create_server((LOCAL, 0)) as free:
         return free.getsockname()[1]
 
 
 @contextmanager
 def _locked_log(folder: str) -> Iterator[IO[bytes]]:
-    """The viewer's log, locked for as long as one of us, this process or the viewer, has it open."""
+    """Yield the viewer's log, locked for as long as this process or the viewer has it open."""
     new, log = Path(folder, "viewer.new"), Path(folder, LOG)
     new.touch()
     with new.open("r+b") as locked:
         fcntl.flock(locked, fcntl.LOCK_EX)
-        new.rename(log)  # only now do others look at it
+        new.rename(log)  # from now on other processes may find it
         yield locked
 
 
-def remove_what_the_killed_left() -> None:
-    """Remove the folders whose log nobody has locked: a process that was killed could not."""
+def remove_abandoned_folders() -> None:
+    """Remove the folders whose log is unlocked: they were left by killed processes."""
     for log in Path(tempfile.gettempdir()).glob(f"{FOLDER}*/{LOG}"):
         with suppress(OSError), log.open("rb") as unlocked:
             fcntl.flock(unlocked, fcntl.LOCK_EX | fcntl.LOCK_NB)

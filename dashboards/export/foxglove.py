@@ -1,13 +1,13 @@
 """A recorded match as an MCAP file that other viewers open in 3D: Foxglove, and rerun without this program.
 
     /tf                 foxglove.FrameTransforms, every body's pose in the frame "world" at every step
-    /scene              foxglove.SceneUpdate, the shapes of each body in its own frame, and who plays it; once
+    /scene              foxglove.SceneUpdate, the shapes of each body in its own frame, and its player; once
     /markers            foxglove.SceneUpdate, rings and goals in the world, whenever they have changed
     /events             foxglove.Log
     /match/step         league.v1.Step, the numbers of the recording: score, rewards, terms, value estimates, ...
     /robot_description  the same shapes as URDF, which rerun draws; it has neither ellipsoids nor meshes
 
-It is a view, larger than the recording and less exact: what happened is in the recording alone.
+The file is a view, larger than the recording and less exact: only the recording holds the original data.
 """
 
 import functools
@@ -20,21 +20,21 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from mcap.writer import Writer
 
-from dashboards.cast import Performer
 from dashboards.errors import ViewerError
-from dashboards.replay import Replay, replay, rgba, turn, visible_geoms
-from storage.files import whole_file
-from storage.messages import message_classes
-from storage.recording import Recording, step_messages
+from dashboards.identity import MatchPlayer
+from dashboards.replay import Replay, replay, rgba, rotate, visible_geoms
+from storage.blobs.files import new_file
+from storage.recordings.mcap_messages import message_classes
+from storage.recordings.recording import Recording, step_messages
 
 WORLD = "world"
 RING = (1.0, 0.78, 0.24, 1.0)
 
 
-def write_foxglove(recording: Recording, path: Path, cast: Sequence[Performer] | None = None) -> None:
+def write_foxglove(recording: Recording, path: Path, players: Sequence[MatchPlayer] | None = None) -> None:
     """Write the file. Raises ViewerError where the schemas are not installed, StorageError where the file exists."""
-    kinds, scene = _schemas(), replay(recording, cast)
-    with whole_file(path) as file:
+    kinds, scene = _schemas(), replay(recording, players)
+    with new_file(path) as file:
         writer = Writer(file, chunk_size=256 * 1024)
         writer.start(profile="", library="robot-league")
         send = _Sender(writer, kinds, recording.header.dt)
@@ -55,7 +55,7 @@ def write_foxglove(recording: Recording, path: Path, cast: Sequence[Performer] |
 
 
 class _Sender:
-    """Writes messages, each kind with its schema."""
+    """Writer of messages, each kind with its schema."""
 
     def __init__(self, writer: Writer, kinds: dict[str, Any], dt: float):
         from mcap_protobuf.schema import register_schema
@@ -69,7 +69,7 @@ class _Sender:
         self.bytes(topic, type(message), message.SerializeToString(), step)
 
     def bytes(self, topic: str, kind: Any, message: bytes, step: int) -> None:
-        """Write a message of that kind that is bytes already."""
+        """Write a message of that kind that is serialised already."""
         at = round(step * self._dt * 1e9)
         self._writer.add_message(self._register(topic, kind), at, message, at, step)
 
@@ -109,7 +109,7 @@ def _transforms(kinds: dict[str, Any], scene: Replay, stamp: Any, step: int) -> 
 
 
 def _entities(kinds: dict[str, Any], scene: Replay, recording: Recording) -> Iterator[Any]:
-    """The shapes of every body, and over the base of each robot who plays it."""
+    """Yield the shapes of every body, and the label of the player above the base of each robot."""
     model, labels = scene.model, {robot.body: robot for robot in scene.robots}
     for body in range(model.nbody):
         entity = kinds["SceneEntity"](frame_id=_frame(model, body), id=_frame(model, body), frame_locked=True)
@@ -118,8 +118,8 @@ def _entities(kinds: dict[str, Any], scene: Replay, recording: Recording) -> Ite
                 _add(kinds, entity, model, kind, geom, 20 * scene.radius)
         if robot := labels.get(body):
             over = _pose(kinds, np.array([0, 0, scene.label_height(robot)]), np.array([1.0, 0, 0, 0]))
-            colour = _colour(kinds, np.array([*scene.cast[robot.side].colour, 255]))
-            label = scene.cast[robot.side].label
+            colour = _colour(kinds, np.array([*scene.players[robot.side].colour, 255]))
+            label = scene.players[robot.side].label
             entity.texts.add(pose=over, billboard=True, font_size=14, scale_invariant=True, color=colour, text=label)
         yield entity
 
@@ -135,7 +135,7 @@ def _add(kinds: dict[str, Any], entity: Any, model: Any, kind: str, geom: int, e
     match kind:
         case "plane":
             half = np.where(size[:2] == 0, extent, size[:2])
-            below = _pose(kinds, at + turn(quaternion[None], [0, 0, -0.01])[0], quaternion)
+            below = _pose(kinds, at + rotate(quaternion[None], [0, 0, -0.01])[0], quaternion)
             entity.cubes.add(pose=below, size=vector(*(2 * half), 0.02), color=colour)
         case "box":
             entity.cubes.add(pose=pose, size=vector(*(2 * size)), color=colour)
@@ -148,7 +148,7 @@ def _add(kinds: dict[str, Any], entity: Any, model: Any, kind: str, geom: int, e
                 pose=pose, size=vector(2 * size[0], 2 * size[0], 2 * size[1]), bottom_scale=1, top_scale=1, color=colour
             )
             for end in (-1, 1) if kind == "capsule" else ():
-                cap = _pose(kinds, at + turn(quaternion[None], [0, 0, end * size[1]])[0], quaternion)
+                cap = _pose(kinds, at + rotate(quaternion[None], [0, 0, end * size[1]])[0], quaternion)
                 entity.spheres.add(pose=cap, size=vector(*(2 * size[[0, 0, 0]])), color=colour)
         case "mesh":
             mesh = model.geom_dataid[geom]
@@ -162,7 +162,7 @@ def _add(kinds: dict[str, Any], entity: Any, model: Any, kind: str, geom: int, e
 
 
 def _marks(kinds: dict[str, Any], recording: Recording, step: int) -> Iterator[Any]:
-    """The markers of a step; each takes the place of the one of its name."""
+    """Yield the markers of a step; each replaces the marker of the same name."""
     from dashboards.viewer.scene import circles
 
     for name, kind in recording.header.marker_kinds.items():
@@ -193,7 +193,7 @@ def _colour(kinds: dict[str, Any], bytes_: np.ndarray) -> Any:
 
 
 def _describe(writer: Writer, scene: Replay) -> None:
-    """The bodies as URDF in a ROS 2 string: links that float in the world, moved by /tf."""
+    """Write the bodies as URDF in a ROS 2 string: links that float in the world, moved by /tf."""
     text = _urdf(scene).encode() + b"\0"
     schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
     channel = writer.register_channel("/robot_description", "cdr", schema)

@@ -1,43 +1,42 @@
-"""A page's matches in rerun's viewer: each is converted when it is asked for, and the first one starts the viewer.
+"""A page's matches in rerun's viewer: each is converted on request, and the first request starts the viewer.
 
-The viewer is rerun's own page, served by a process of its own on another port of this machine, which holds no match: it
-fetches the one that its address names from the page's server, which lets that one origin read it and no other.
+The viewer is rerun's own page, served by a separate process on another port of this machine, which holds no match. It
+fetches the match that its address names from the page's server, which lets only that origin read it.
 """
 
-import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from dashboards.cast import Performer
 from dashboards.errors import ViewerError
+from dashboards.identity import MatchPlayer
+from dashboards.system.temporary_folders import temporary_folder
 from storage.errors import StorageError
-from storage.recording import Recording
+from storage.recordings.recording import Recording
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
     from starlette.routing import Route
 
-Found = tuple[Recording, tuple[Performer, ...]]
-OTHERS = ("cross-site",)
-"""Who a browser says has asked, when a page that is none of this machine's did: it could have matches converted."""
+RecordedMatch = tuple[Recording, tuple[MatchPlayer, ...]]
+FOREIGN_SITES = ("cross-site",)
+"""Values of Sec-Fetch-Site for requests by pages of other sites, which are refused: each would start a conversion."""
 
-LONG = 16  # digits that no match's number has
+MAX_DIGITS = 16  # match numbers have fewer digits
 
 
-class Matches:
-    """Answers at `/match/7`, which leads to the viewer, and at `/match/7.rrd`, which is what that one draws.
+class MatchLinks:
+    """Answers at `/match/7`, which redirects to the viewer, and at `/match/7.rrd`, which the viewer draws.
 
-    `found` gives what was recorded of a match, by its number; it raises StorageError where there is nothing to show.
+    `found` returns the recording of a match by its number. It raises StorageError where there is nothing to show.
     """
 
-    def __init__(self, found: Callable[[int], Found]):
+    def __init__(self, found: Callable[[int], RecordedMatch]):
         self._found, self._lock, self._open = found, threading.Lock(), ExitStack()
-        self._viewer: tuple[str, Callable[[], bool]] | None = None  # its address, and whether it is still there
+        self._viewer: tuple[str, Callable[[], bool]] | None = None  # its address, and a check that it still runs
 
     def close(self) -> None:
         """End the viewer, if there is one."""
@@ -46,26 +45,27 @@ class Matches:
             self._viewer = None
 
     def address(self, page: str, number: int) -> str:
-        """Where the viewer shows a match of the server at `page`. Raises ViewerError, StorageError."""
-        self._found(number)  # what there is not is told here, and not by the viewer
-        return f"{self._served()}/?url={quote(f'{page}match/{number}.rrd', safe='')}&theme=dark&hide_welcome_screen"
+        """Return the viewer's address for a match of the server at `page`. Raises ViewerError, StorageError."""
+        self._found(number)  # a missing match is reported here, not by the viewer
+        file = quote(f"{page}match/{number}.rrd", safe="")
+        return f"{self._viewer_address()}/?url={file}&theme=dark&hide_welcome_screen"
 
-    def converted(self, number: int) -> bytes:
-        """A match as rerun's file. Raises ViewerError, StorageError."""
+    def as_rrd(self, number: int) -> bytes:
+        """Return a match as the bytes of rerun's file. Raises ViewerError, StorageError."""
         from dashboards.viewer import write_rrd
 
-        recording, cast = self._found(number)
-        with tempfile.TemporaryDirectory(prefix="robot-league-match-") as folder:
-            path = Path(folder, "match.rrd")
-            write_rrd(recording, path, cast)
+        recording, players = self._found(number)
+        with temporary_folder("robot-league-match-") as folder:
+            path = folder / "match.rrd"
+            write_rrd(recording, path, players)
             return path.read_bytes()
 
     @property
     def origin(self) -> str | None:
-        """The viewer's, as browsers call it."""
+        """The viewer's origin, as browsers name it; None before its start."""
         return self._viewer and self._viewer[0]
 
-    def _served(self) -> str:
+    def _viewer_address(self) -> str:
         from dashboards.viewer import web_viewer
 
         with self._lock:
@@ -75,17 +75,17 @@ class Matches:
             return self._viewer[0]
 
     def routes(self, headers: dict[str, str]) -> "list[Route]":
-        """The answers; `headers` go with each of them."""
+        """Return the routes; `headers` are added to each answer."""
         from starlette.concurrency import run_in_threadpool
         from starlette.responses import PlainTextResponse, RedirectResponse, Response
         from starlette.routing import Route
 
         async def answered(request: "Request", made: Callable[[int], "Response"]) -> "Response":
-            if request.headers.get("Sec-Fetch-Site") in OTHERS:
-                return PlainTextResponse("Another site's page asks for this.\n", 403, headers=headers)
+            if request.headers.get("Sec-Fetch-Site") in FOREIGN_SITES:
+                return PlainTextResponse("The request comes from another site's page.\n", 403, headers=headers)
             number = request.path_params["number"]
-            if not (number.isascii() and number.isdigit() and len(number) < LONG):
-                return PlainTextResponse("A match has a number.\n", 404, headers=headers)
+            if not (number.isascii() and number.isdigit() and len(number) < MAX_DIGITS):
+                return PlainTextResponse("A match is given by its number.\n", 404, headers=headers)
             try:
                 return await run_in_threadpool(made, int(number))
             except (StorageError, ViewerError) as error:
@@ -100,7 +100,7 @@ class Matches:
         async def file(request: "Request") -> "Response":
             def made(number: int) -> "Response":
                 mine = {"Access-Control-Allow-Origin": self.origin} if self.origin else {}
-                data = self.converted(number)
+                data = self.as_rrd(number)
                 return Response(data, media_type="application/octet-stream", headers={**headers, **mine})
 
             return await answered(request, made)

@@ -1,4 +1,4 @@
-// Draws the page's figures with Plotly, and where the page is served keeps it up to date.
+// Draw the page's figures with Plotly, and keep a served page up to date.
 "use strict";
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -24,7 +24,7 @@ function draw(block) {
 const drawn = new IntersectionObserver((seen) => {
   for (const { isIntersecting, target } of seen) {
     if (isIntersecting) {
-      drawn.unobserve(target); // once: later changes are drawn as they come
+      drawn.unobserve(target); // once: later changes are drawn when they arrive
       target.dataset.drawn = "yes";
       draw(target).then((plot) => plot.on("plotly_click", ({ points }) => choose(target, points[0])));
     }
@@ -71,11 +71,11 @@ function showPair(pairs) {
   };
   const line = (row) => made("tr", ...row.map(cell(row)).map((inside) => made("td", inside)));
   const titles = made("thead", made("tr", ...heads.map((head) => Object.assign(made("th", head), { scope: "col" }))));
-  const told = `${a} and ${b}: ${rows.length || "no"} ${rows.length === 1 ? "batch" : "batches"}`;
-  const table = made("table", made("caption", told), titles, made("tbody", ...rows.map(line)));
+  const caption = `${a} and ${b}: ${rows.length || "no"} ${rows.length === 1 ? "batch" : "batches"}`;
+  const table = made("table", made("caption", caption), titles, made("tbody", ...rows.map(line)));
   const shown = pairs.querySelector(".rows");
   shown.hidden = !a || !b;
-  if (!same(shown, made("div", table))) shown.replaceChildren(table); // or it would be read out again
+  if (!same(shown, made("div", table))) shown.replaceChildren(table); // avoids that a screen reader repeats it
 }
 
 async function copy(button) {
@@ -97,7 +97,7 @@ function same(a, b) {
   return (a && a.innerHTML) === (b && b.innerHTML);
 }
 
-// Row by row: of a thousand most stay as they are.
+// Row by row, since most of a thousand rows stay unchanged.
 function changeRows(old, fresh) {
   const rows = [...old.rows], newer = [...fresh.rows];
   newer.forEach((row, i) => {
@@ -127,7 +127,7 @@ function changePairs(old, fresh) {
   showPair(old);
 }
 
-// Only what has changed is touched, and no block is replaced: focus and scrolling stay where they are.
+// Only changed elements are updated, and no block is replaced, to keep focus and scroll positions.
 function change(old, fresh) {
   if (!values(old)) return changeTable(old, fresh);
   const changed = values(old).textContent !== values(fresh).textContent;
@@ -185,7 +185,7 @@ function follow() {
     events.addEventListener("trouble", (event) => tell(event.data));
     events.onerror = () => {
       tell("The server does not answer; the page goes on when it does.");
-      events.close(); // browsers differ in when they give up, so this one asks again itself
+      events.close(); // browsers differ in when they give up, so reconnect here
       setTimeout(listen, 1000);
     };
   }

@@ -1,8 +1,8 @@
 """Learning curves as runs of Weights & Biases, which hold each iteration once however often they are written.
 
-W&B keeps what it is told in files of its own, a folder for each time that somebody writes. By them it is known what a
-player's run has already: they are read back with W&B's own reader, and what they lack is added. They stay on this
-machine unless WANDB_MODE says otherwise; `wandb sync` sends them later.
+W&B stores logged data in its own files, one folder per writing process. They are read back with W&B's own reader to
+find out which iterations a player's run has, and the missing iterations are added. The files stay on this machine
+unless WANDB_MODE says otherwise; `wandb sync` sends them later.
 """
 
 import fcntl
@@ -20,26 +20,25 @@ from storage.records import CurvePoint
 
 ITERATION = "iteration"
 PATIENCE = 60.0  # s
-PROJECT = "robot-league"  # where WANDB_PROJECT names none
+PROJECT = "robot-league"  # unless WANDB_PROJECT names one
 
 
-class Runs:
-    """A player's run, open for writing. See `runs`."""
+class WandbRun:
+    """A player's run, open for writing. See `open_run`."""
 
-    def __init__(self, folder: Path, league: str, player: str, began: float):
-        self._folder, self._about = folder, (league, player)
-        self._id = hashlib.sha256(f"{league}/{player}/{began:.6f}".encode()).hexdigest()[:16]
+    def __init__(self, folder: Path, league: str, player: str, id: str):
+        self._folder, self._about, self._id = folder, (league, player), id
         self._run: Any = None
-        self.iteration = max(_iterations(folder, self._id), default=0)  # the newest that W&B's files hold
+        self.iteration = max(_iterations(folder, self._id), default=0)  # the newest iteration in W&B's files
 
     def extend(self, points: Iterable[CurvePoint]) -> int:
-        """Add those that it does not have, which must come in the order of iterations; how many these were.
+        """Add the points that the run does not have; points come in iteration order. Return how many were added.
 
-        Raises ViewerError where W&B does not take them.
+        Raises ViewerError where W&B rejects them.
         """
         new = [point for point in points if point.iteration > self.iteration]
         if new and self._run is None:
-            self._run = _begun(self._folder, self._id, *self._about)
+            self._run = _started_run(self._folder, self._id, *self._about)
         for point in new:
             about = {ITERATION: point.iteration, "environment_steps": point.step, "training_seconds": point.seconds}
             self._run.log({**about, **point.values}, step=point.iteration)
@@ -47,7 +46,7 @@ class Runs:
         return len(new)
 
     def close(self) -> None:
-        """Have W&B write what it still holds, by a process of its own, and wait until that has.
+        """Finish the run and wait until W&B's own process has written all data.
 
         Raises ViewerError where it does not.
         """
@@ -62,29 +61,37 @@ class Runs:
 
 
 @contextmanager
-def runs(folder: Path, league: str, player: str, began: float) -> Iterator[Runs]:
-    """A player's run in a folder, made if need be, of a league that was made at a time.
+def open_run(folder: Path, league: str, player: str, created: float, identity: str) -> Iterator[WandbRun]:
+    """Open a player's run in a folder, made if needed, for a league with that identity and creation time.
 
-    Raises ViewerError where wandb is not installed, WANDB_MODE says neither offline nor online, the folder cannot be
-    written, or somebody else writes the run.
+    Raises ViewerError where wandb is not installed, WANDB_MODE is neither offline nor online, the folder cannot be
+    written, or another process writes the run.
     """
-    mode()
-    os.environ.setdefault("WANDB_ERROR_REPORTING", "false")  # or it would tell its makers of its own faults
+    wandb_mode()
+    os.environ.setdefault("WANDB_ERROR_REPORTING", "false")  # no error reports to W&B
     try:
         import wandb  # noqa: F401
     except ImportError as error:
         need = f"runs of Weights & Biases need wandb ({error}); install it with: pip install 'robot-league[wandb]'"
         raise ViewerError(need) from error
-    with _held(folder, f".{league}.{player}.lock"):
-        run = Runs(folder, league, player, began)
+    folder = folder.absolute()  # W&B would expand ~ to the home folder
+    id = _id(folder, f"{league}/{player}/{created:.6f}", identity)
+    with _locked_file(folder, f".{id}.lock"):
+        run = WandbRun(folder, league, player, id)
         try:
             yield run
         finally:
             run.close()
 
 
-def _held(folder: Path, name: str) -> IO[str]:
-    """A lock in a folder, made if need be, until the file is closed. Raises ViewerError where there can be none."""
+def _id(folder: Path, about: str, identity: str) -> str:
+    """Return a run's id: an earlier version's, without the league's identity, if the folder has such a run."""
+    earlier, today = (hashlib.sha256(text.encode()).hexdigest()[:16] for text in (about, f"{about}/{identity}"))
+    return earlier if any(folder.glob(f"wandb/*run-*-{earlier}")) else today
+
+
+def _locked_file(folder: Path, name: str) -> IO[str]:
+    """Lock a file in a folder, made if needed, until the file is closed. Raises ViewerError on failure."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = (folder / name).open("w")
@@ -98,40 +105,42 @@ def _held(folder: Path, name: str) -> IO[str]:
     return file
 
 
-def mode() -> Literal["offline", "online"]:
-    """Whether runs stay on this machine or are sent, as WANDB_MODE says. Raises ViewerError for any other word."""
+def wandb_mode() -> Literal["offline", "online"]:
+    """Return "online" if WANDB_MODE has runs sent, else "offline". Raises ViewerError for an unknown mode."""
     asked = os.environ.get("WANDB_MODE", "offline")
     if asked not in ("offline", "online"):
         raise ViewerError(f"WANDB_MODE is {asked!r}, by which nothing is kept: set it to offline or online")
     return "online" if asked == "online" else "offline"
 
 
-def _begun(folder: Path, id: str, league: str, player: str) -> Any:
+def _started_run(folder: Path, id: str, league: str, player: str) -> Any:
     import wandb
 
     settings = wandb.Settings(
         console="off", silent=True, save_code=False, disable_git=True, x_disable_meta=True, x_disable_stats=True
     )
-    more: dict[str, Any] = {"resume": "allow"} if mode() == "online" else {}
-    _into_another_second(folder, id)
+    more: dict[str, Any] = {"resume": "allow"} if wandb_mode() == "online" else {}
+    _wait_for_next_second(folder, id)
     try:
         return wandb.init(
             project=os.environ.get("WANDB_PROJECT", PROJECT), dir=folder, id=id, name=f"{league}/{player}",
-            group=league, mode=mode(), reinit="create_new", settings=settings, **more,
+            group=league, mode=wandb_mode(), reinit="create_new", settings=settings, **more,
         )  # fmt: skip
     except (wandb.Error, OSError) as error:
         why = " ".join(str(error).split())
-        raise ViewerError(f"Weights & Biases did not begin a run: {why}; WANDB_MODE=offline needs nobody") from error
+        raise ViewerError(
+            f"Weights & Biases did not start a run: {why}; WANDB_MODE=offline needs no connection"
+        ) from error
 
 
-def _into_another_second(folder: Path, id: str) -> None:
-    """Wait until W&B, which names a run's folder by the second in which it begins, would make another one."""
+def _wait_for_next_second(folder: Path, id: str) -> None:
+    """Wait until W&B, which names a run's folder by the second of its start, would make a new folder."""
     begun = [each.stat().st_ctime for each in folder.glob(f"wandb/*run-*-{id}")]
     time.sleep(min(max(1.0 - (time.time() - max(begun, default=0.0)), 0.0), 1.0))
 
 
 def _iterations(folder: Path, id: str) -> Iterator[int]:
-    """Those of a run that W&B's files in a folder hold; what a killed writer left of a record is not among them."""
+    """Yield the iterations of a run in W&B's files in a folder; a killed writer's partial record is left out."""
     for file in sorted(folder.glob(f"wandb/*run-*-{id}/run-{id}.wandb")):
         for record in records(file):
             for item in record.history.item:
@@ -140,7 +149,7 @@ def _iterations(folder: Path, id: str) -> Iterator[int]:
 
 
 def records(file: Path) -> Iterator[Any]:
-    """W&B's records in a file of it, as far as it is whole, by its own reader."""
+    """Yield W&B's records in one of its files, up to the first damage, by its own reader."""
     from wandb.proto.wandb_internal_pb2 import Record  # pyright: ignore[reportAttributeAccessIssue]
     from wandb.sdk.internal.datastore import DataStore
 
@@ -149,7 +158,7 @@ def records(file: Path) -> Iterator[Any]:
         source.open_for_scan(str(file))
         while (data := source.scan_data()) is not None:
             yield Record.FromString(data)
-    except (AssertionError, OSError):  # as its reader calls a record that was cut short
+    except (AssertionError, OSError):  # its reader's errors for a partial record
         return
     finally:
         source.close()

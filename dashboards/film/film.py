@@ -1,4 +1,4 @@
-"""A match as pictures and films, drawn with `dashboards.rays`: where there is no graphics driver, and for clips."""
+"""Pictures and films of a match, drawn with `dashboards.film.raycaster`: without a graphics driver, and for clips."""
 
 import functools
 import shutil
@@ -11,49 +11,49 @@ from typing import Any
 
 import numpy as np
 
-from dashboards.cast import Performer, shape
 from dashboards.errors import ViewerError
-from dashboards.outputs import FILMS, PICTURES, output, require_kind
-from dashboards.rays import Camera, Painter
+from dashboards.film.raycaster import Camera, Raycaster
+from dashboards.identity import MatchPlayer, shape
 from dashboards.replay import Replay, replay
+from dashboards.system.outputs import FILMS, PICTURES, new_output, require_kind
 from dashboards.viewer.panels import TRAIL, grid_spacing
 from dashboards.viewer.scene import MARKER_COLOURS, WHITE, circles
-from storage.recording import Recording
+from storage.recordings.recording import Recording
 
-LINGER = 1.0  # s for which the last picture of a film stays
-FINER = 2  # pixels are drawn twice as fine each way and then merged, which smooths edges
+LAST_PICTURE_SECONDS = 1.0  # a film's last picture stays so long
+SUPERSAMPLING = 2  # factor of resolution each way before pixels are averaged, which smooths edges
 NO_FFMPEG = "an .mp4 needs ffmpeg: pip install 'robot-league[video]' brings it; .gif and .webp need nothing more"
 INK, FAINT, BAND = (235, 238, 245), (165, 172, 184), (17, 21, 30)
 
 
 class Film:
-    """Draws the moments of one match."""
+    """Pictures of the moments of one match."""
 
     def __init__(
         self,
         recording: Recording,
         size: tuple[int, int],
-        cast: Sequence[Performer] | None = None,
+        players: Sequence[MatchPlayer] | None = None,
         close: bool = False,
         labels: bool = True,
     ):
-        """Pictures of `size` pixels of the whole scene, or `close`: of no more of it than robots ever come to.
+        """Prepare pictures of `size` pixels, of the whole scene, or with `close` only of the region that robots reach.
 
-        `labels` stand over the robots, and hide some of what is behind them; who has which colour is told at the top.
+        `labels` above the robots hide part of the background. The caption at the top shows each player in its colour.
         """
         self.recording, self.size, self.labels = recording, size, labels
-        self.scene: Replay = replay(recording, cast)
+        self.scene: Replay = replay(recording, players)
         centre, radius = _stage(self.scene) if close else (np.zeros(3), self.scene.radius)
-        camera = Camera.on(centre, radius, (FINER * size[0], FINER * size[1]))
-        self.camera, self._painter = camera, Painter(self.scene, camera, grid_spacing(self.scene.radius))
+        camera = Camera.framing(centre, radius, (SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]))
+        self.camera, self._raycaster = camera, Raycaster(self.scene, camera, grid_spacing(self.scene.radius))
 
     def picture(self, step: int) -> Any:
-        """A PIL image of a step: the world, who is who, and below it time, score and what has happened."""
+        """Return a PIL image of a step: the world, the players, and below it time, score and recent events."""
         image, pens = _pillow().Image, _pillow().ImageDraw
-        self._painter.pose(self.recording.qpos[step])
-        world = image.fromarray(self._painter.ground().astype(np.uint8))
+        self._raycaster.pose(self.recording.qpos[step])
+        world = image.fromarray(self._raycaster.ground().astype(np.uint8))
         self._lines(pens.Draw(world), step)
-        bodies, there = self._painter.bodies()
+        bodies, there = self._raycaster.bodies()
         world.paste(image.fromarray(bodies.astype(np.uint8)), (0, 0), image.fromarray(there))
         world = world.resize(self.size, image.Resampling.BOX)
         pen = pens.Draw(world)
@@ -63,7 +63,7 @@ class Film:
         return world
 
     def _lines(self, pen: Any, step: int) -> None:
-        """Markers, the shapes of the sides and where everybody was of late, as lines on the ground."""
+        """Draw markers, the shapes of the sides and the recent paths of robots as lines on the ground."""
         recording, scene, thin = self.recording, self.scene, 0.004 * self.scene.radius
         for name, kind in recording.header.marker_kinds.items():
             values = recording.markers[name][step : step + 1]
@@ -76,51 +76,58 @@ class Film:
         first = int(np.searchsorted(recording.time, recording.time[step] - TRAIL))
         for robot in scene.robots:
             at = scene.xpos[: step + 1, robot.body] * np.array([1, 1, 0])
-            self._line(pen, at[first:], scene.cast[robot.side].colour, 2)
+            self._line(pen, at[first:], scene.players[robot.side].colour, 2)
             ring = circles(np.array([[0, 0, robot.size]]), thin, shape(robot.side)[1])[0]
             self._line(pen, ring + at[-1], WHITE, 2)
 
     def _line(self, pen: Any, points: np.ndarray, colour: tuple[int, ...], width: int) -> None:
         seen = self.camera.project(points)
         if len(seen) > 1 and (seen[:, 2] > 0).all() and np.isfinite(seen).all():
-            pen.line([tuple(point) for point in seen[:, :2].tolist()], fill=colour, width=FINER * width, joint="curve")
+            pen.line(
+                [tuple(point) for point in seen[:, :2].tolist()],
+                fill=colour,
+                width=SUPERSAMPLING * width,
+                joint="curve",
+            )
 
     def _ball(self, pen: Any, values: np.ndarray, colour: tuple[int, ...], filled: bool) -> None:
         x, y, ahead = self.camera.project(values[None, :3])[0]
         if ahead > 0 and np.isfinite(x + y):
             r = values[3] * self.camera.focus / ahead
-            pen.ellipse((x - r, y - r, x + r, y + r), outline=colour, width=FINER, fill=colour if filled else None)
+            pen.ellipse(
+                (x - r, y - r, x + r, y + r), outline=colour, width=SUPERSAMPLING, fill=colour if filled else None
+            )
 
     def _labels(self, pen: Any, step: int) -> None:
         font = _font(self.size[1] / 40)
         for robot in self.scene.robots:
-            who = self.scene.cast[robot.side]
+            player = self.scene.players[robot.side]
             over = self.scene.label(robot)[step]
-            x, y, ahead = self.camera.project(over[None])[0] / [FINER, FINER, 1]
+            x, y, ahead = self.camera.project(over[None])[0] / [SUPERSAMPLING, SUPERSAMPLING, 1]
             if ahead > 0 and np.isfinite(x + y):
-                box = pen.textbbox((x, y), who.label, font=font, anchor="mb")
+                box = pen.textbbox((x, y), player.label, font=font, anchor="mb")
                 pen.rounded_rectangle((box[0] - 4, box[1] - 2, box[2] + 4, box[3] + 3), 3, fill=BAND)
-                pen.text((x, y), who.label, font=font, anchor="mb", fill=who.colour)
+                pen.text((x, y), player.label, font=font, anchor="mb", fill=player.colour)
 
     def _caption(self, pen: Any, step: int) -> None:
-        """Who meets whom at the top; the time and what has happened lately at the bottom."""
+        """Draw the players at the top, and the time and recent events at the bottom."""
         recording, h = self.recording, self.size[1]
         large, small = _font(h / 22), _font(h / 28)
         x, gap = h / 40, h / 40
-        for number, who in enumerate(self.scene.cast):
+        for number, player in enumerate(self.scene.players):
             if number:
                 pen.text((x, gap), "against", font=large, fill=FAINT)
                 x += pen.textlength("against ", font=large)
-            text = f"{who.name} {who.rating}".strip()
-            pen.text((x, gap), text, font=large, fill=who.colour)
+            text = f"{player.name} {player.rating}".strip()
+            pen.text((x, gap), text, font=large, fill=player.colour)
             x += pen.textlength(f"{text} ", font=large)
         happened = [text for at, text in recording.events if at <= step]
-        told = f"{recording.time[step]:5.1f} s   {' · '.join(happened[-3:])}"
-        pen.text((h / 40, h - gap), told, font=small, anchor="ls", fill=INK)
+        text = f"{recording.time[step]:5.1f} s   {' · '.join(happened[-3:])}"
+        pen.text((h / 40, h - gap), text, font=small, anchor="ls", fill=INK)
 
 
 def _pillow() -> Any:
-    """Pillow's package, with what is used of it. Raises ViewerError where it is not installed."""
+    """Return Pillow's package with the modules used. Raises ViewerError where it is not installed."""
     try:
         import PIL.Image
         import PIL.ImageDraw
@@ -135,7 +142,7 @@ def _font(pixels: float) -> Any:
 
 
 def _stage(scene: Replay) -> tuple[np.ndarray, float]:
-    """The middle of where robots ever are, and how far from it there is something of them, at most the scene."""
+    """Return the centre of the region that robots reach, and its radius in m, at most the scene's."""
     at = np.concatenate([scene.xpos[:, robot.body, :2] for robot in scene.robots])
     at = at[np.isfinite(at).all(axis=1)]
     centre = (at.min(axis=0) + at.max(axis=0)) / 2
@@ -144,63 +151,62 @@ def _stage(scene: Replay) -> tuple[np.ndarray, float]:
 
 
 def save_picture(film: Film, path: Path, at_seconds: float) -> None:
-    """Write a picture of a moment, in the kind that the file's name says.
+    """Write a picture of a moment, in the format of the file's suffix.
 
-    Raises ViewerError for a name that ends otherwise or a moment that the match does not have, StorageError where the
-    file cannot be written.
+    Raises ViewerError for another suffix or a moment outside the match, StorageError where the file cannot be written.
     """
-    with output(path, PICTURES) as partial:
-        film.picture(nearest(film.recording, at_seconds)).save(partial)
+    with new_output(path, PICTURES) as partial:
+        film.picture(nearest_step(film.recording, at_seconds)).save(partial)
 
 
 def save_film(
-    film: Film, path: Path, rate: int, between: tuple[float, float], tell: Callable[[int, int], None]
+    film: Film, path: Path, rate: int, between: tuple[float, float], progress: Callable[[int, int], None]
 ) -> None:
-    """Write the seconds `between` of a match as a film of `rate` pictures a second, at the speed of the match.
+    """Write the seconds `between` of a match as a film of `rate` pictures per second, at real speed.
 
-    An .mp4 through ffmpeg, a .gif or .webp through Pillow. `tell` is called with how many pictures of how many are
-    there. Raises ViewerError for a name that ends otherwise, a beginning that the match does not have, or where there
-    is no ffmpeg, StorageError where the file cannot be written; nothing is written then.
+    An .mp4 is made by ffmpeg, a .gif or .webp by Pillow. `progress` is called with the pictures done and their total.
+    Raises ViewerError for another suffix, a start outside the match or a missing ffmpeg, StorageError where the file
+    cannot be written; nothing is written then.
     """
-    check(path)
+    require_encoder(path)
     recording = film.recording
     first, last = np.clip(between, recording.time[0], recording.time[-1]).tolist()
-    begin = nearest(recording, between[0])
+    begin = nearest_step(recording, between[0])
     moments = np.arange(first, last, 1 / rate)
-    steps = [nearest(recording, moment) for moment in moments] or [begin]
-    steps += [nearest(recording, last)] * round(LINGER * rate)
-    pictures = _told(film, steps, tell)
-    with output(path, FILMS) as partial:
+    steps = [nearest_step(recording, moment) for moment in moments] or [begin]
+    steps += [nearest_step(recording, last)] * round(LAST_PICTURE_SECONDS * rate)
+    pictures = _with_progress(film, steps, progress)
+    with new_output(path, FILMS) as partial:
         if partial.suffix == ".mp4":
             _encode(pictures, film.size, rate, partial)
         else:
             _animate(pictures, rate, partial)
 
 
-def check(path: Path) -> None:
-    """Raise ViewerError where a film of that name cannot be made here."""
+def require_encoder(path: Path) -> None:
+    """Raise ViewerError if a film of that name cannot be made here."""
     if require_kind(path, FILMS).suffix == ".mp4":
         ffmpeg()
 
 
-def nearest(recording: Recording, seconds: float) -> int:
-    """The step nearest to a moment. Raises ViewerError where the match does not have it."""
+def nearest_step(recording: Recording, seconds: float) -> int:
+    """Return the step nearest to a moment. Raises ViewerError for a moment outside the match."""
     first, last, dt = recording.time[0], recording.time[-1], recording.header.dt
-    if not first - dt <= seconds <= last + dt:  # the ends as a person writes them: 0, or 2 for 1.9999
+    if not first - dt <= seconds <= last + dt:  # accepts rounded ends: 0, or 2 for 1.9999
         raise ViewerError(f"there is no second {seconds:g} in this match; it has {first:g} to {last:g}")
     return int(np.abs(recording.time - seconds).argmin())
 
 
-def _told(film: Film, steps: Sequence[int], tell: Callable[[int, int], None]) -> Iterator[Any]:
+def _with_progress(film: Film, steps: Sequence[int], progress: Callable[[int, int], None]) -> Iterator[Any]:
     drawn = functools.lru_cache(1)(film.picture)
     for number, step in enumerate(steps):
-        tell(number, len(steps))
+        progress(number, len(steps))
         yield drawn(step)
-    tell(len(steps), len(steps))
+    progress(len(steps), len(steps))
 
 
 def _animate(pictures: Iterator[Any], rate: int, path: Path) -> None:
-    """A film through Pillow. A .gif has one palette of 256 colours, that of its first picture, lest colours flicker."""
+    """Write a film through Pillow. A .gif has the 256 colours of its first picture, to prevent flicker."""
     if path.suffix == ".webp":
         first, *others = pictures
         first.save(path, save_all=True, append_images=others, duration=round(1000 / rate), loop=0, quality=70, method=4)
@@ -211,7 +217,7 @@ def _animate(pictures: Iterator[Any], rate: int, path: Path) -> None:
 
 
 def _encode(pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Path) -> None:
-    """A film through ffmpeg, which reads the pictures as they are drawn."""
+    """Write a film through ffmpeg, which reads the pictures as they are drawn."""
     command = [
         ffmpeg(), "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}",
         "-r", str(rate), "-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "23", "-movflags", "+faststart",
@@ -232,7 +238,7 @@ def _encode(pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Pat
 
 
 def ffmpeg() -> str:
-    """The program, of this machine or of the wheel that brings it. Raises ViewerError where there is neither."""
+    """Return the path of ffmpeg, from this machine or the installed wheel. Raises ViewerError if there is none."""
     if found := shutil.which("ffmpeg"):
         return found
     try:

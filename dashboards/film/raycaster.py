@@ -1,7 +1,7 @@
-"""Pictures of a match by MuJoCo's own ray casting: they need no graphics driver, no display and no window.
+"""Pictures of a match by MuJoCo's own ray casting, which need no graphics driver, no display and no window.
 
-Rays are cast only where something may be: the ground's colour is worked out once for each camera, and a geom lies
-within its bounding sphere. Light falls from far above, with shadows on the ground; nothing is reflected.
+Rays are cast only where a body may be visible: the ground's colour is computed once for each camera, and a geom lies
+within its bounding sphere. Light comes from far above, with shadows on the ground; there are no reflections.
 """
 
 import math
@@ -15,21 +15,23 @@ from dashboards.replay import EYE, FIRST_COLLISION_GROUP, TARGET, Replay, rgba
 FIELD_OF_VIEW = math.radians(48)  # of the picture's height
 GROUND, GRID, SKY = np.array([[84, 89, 98], [104, 109, 118], [17, 21, 30]], np.float32)
 SUN = np.array([-0.35, -0.45, 0.82])  # towards the light
-AMBIENT, SHADOW = 0.45, 0.62  # parts of a colour that are seen where no light falls
+AMBIENT, SHADOW = 0.45, 0.62  # factors of a colour without direct light
 _SEEN = np.array([group < FIRST_COLLISION_GROUP for group in range(6)], np.uint8)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture of `size` (width, height) pixels is taken from; lengths in metres."""
+    """The camera of a picture of `size` (width, height) pixels; lengths in metres."""
 
     eye: np.ndarray  # (3,)
     axes: np.ndarray  # (3, 3) right, up, forward
     size: tuple[int, int]
 
     @classmethod
-    def on(cls, centre: np.ndarray, radius: float, size: tuple[int, int]) -> "Camera":
-        """The one that sees all within `radius` of a place (3,), from the side from which `league watch` looks."""
+    def framing(cls, centre: np.ndarray, radius: float, size: tuple[int, int]) -> "Camera":
+        """Return the camera that sees everything within `radius` of a centre (3,), in the view direction of `league
+        watch`.
+        """
         eye, forward = centre + EYE * radius, (TARGET - EYE) / np.linalg.norm(TARGET - EYE)
         right = np.cross(forward, [0, 0, 1])
         right /= np.linalg.norm(right)
@@ -37,17 +39,17 @@ class Camera:
 
     @property
     def focus(self) -> float:
-        """Pixels by which a point is off the middle that is as far to the side as it is ahead."""
+        """The focal length in pixels: the offset from the middle of a point that is as far sideways as it is ahead."""
         return self.size[1] / 2 / math.tan(FIELD_OF_VIEW / 2)
 
     def rays(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """(n, 3) Unit vectors through the middles of pixels."""
+        """Return unit vectors (n, 3) through the centres of pixels."""
         x, y = columns + 0.5 - self.size[0] / 2, self.size[1] / 2 - rows - 0.5
         ahead = np.stack([x, y, np.full(len(x), self.focus)], axis=-1) @ self.axes
         return ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
 
     def ground(self) -> np.ndarray:
-        """(height, width, 2) Where each pixel meets the ground, nan where it shows the sky. No row of pixels tilts."""
+        """Return the ground point (height, width, 2) seen at each pixel, nan for the sky. Pixel rows are horizontal."""
         w, h = self.size
         right, up, forward = self.axes
         row = (h / 2 - np.arange(h) - 0.5)[:, None] * up + self.focus * forward
@@ -56,17 +58,19 @@ class Camera:
         return (self.eye[:2] + far * (row[:, None, :2] + across)).astype(np.float32)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """(n, 3) Pixel column and row of points (n, 3), and how far ahead they are; behind the eye that is below 0."""
+        """Return pixel column, pixel row and distance ahead (n, 3) of points (n, 3); the distance is below 0 behind the
+        camera.
+        """
         right, up, ahead = ((points - self.eye) @ self.axes.T).T
         scale = self.focus / np.maximum(ahead, 1e-6)
         return np.stack([self.size[0] / 2 + right * scale, self.size[1] / 2 - up * scale, ahead], axis=-1)
 
 
-class Painter:
-    """Takes pictures of one replay from one camera."""
+class Raycaster:
+    """Pictures of one replay from one camera."""
 
     def __init__(self, scene: Replay, camera: Camera, spacing: float):
-        """`spacing` is that of the lines on the ground, m."""
+        """Prepare the background; `spacing` is the distance of the lines on the ground, m."""
         self.scene, self.camera = scene, camera
         self._data = _mujoco().MjData(scene.model)
         model = scene.model
@@ -77,12 +81,12 @@ class Painter:
         self._background = self._paint_ground(spacing)
 
     def pose(self, qpos: np.ndarray) -> None:
-        """Put the bodies where they are at joint positions (nq,)."""
+        """Move the bodies to joint positions (nq,)."""
         self._data.qpos[:] = qpos
         _mujoco().mj_kinematics(self.scene.model, self._data)
 
     def ground(self) -> np.ndarray:
-        """(height, width, 3) What is seen of ground and sky, with the robots' shadows."""
+        """Return the picture (height, width, 3) of ground and sky, with the robots' shadows."""
         picture = self._background.copy()
         rows, columns = np.nonzero(self._near(self._shadow_centres()) & np.isfinite(self._ground[..., 0]))
         if rows.size:
@@ -95,7 +99,7 @@ class Painter:
         return picture
 
     def bodies(self) -> tuple[np.ndarray, np.ndarray]:
-        """(height, width, 3) colours, and where there is a body at all, (height, width) bool."""
+        """Return colours (height, width, 3), and a mask (height, width) of the pixels that show a body."""
         rows, columns = np.nonzero(self._near(self._data.geom_xpos[self._solid]))
         picture, there = np.zeros_like(self._background), np.zeros(self._background.shape[:2], bool)
         if rows.size:
@@ -107,7 +111,7 @@ class Painter:
         return picture, there
 
     def _cast(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What each ray (n, 3) meets first: its geom (n,) or -1, how far it is (n,), its surface's normal (n, 3)."""
+        """Return for each ray (n, 3) the first geom (n,) or -1, its distance (n,) and its surface normal (n, 3)."""
         n = len(rays)
         hit, far, normal = np.empty(n, np.int32), np.empty(n), np.empty(3 * n)
         _mujoco().mj_multiRay(
@@ -117,12 +121,12 @@ class Painter:
         return hit, far, normal.reshape(n, 3)
 
     def _shadow_centres(self) -> np.ndarray:
-        """Where on the ground the shadows of the bodies' middles fall, (n, 3)."""
+        """Return the ground points (n, 3) of the shadows of the bodies' centres."""
         at = self._data.geom_xpos[self._solid]
         return at - at[:, 2:] / SUN[2] * SUN
 
     def _near(self, centres: np.ndarray) -> np.ndarray:
-        """(height, width) bool: the pixels in squares round spheres of the geoms' size that are there."""
+        """Return a mask (height, width) of the pixels in squares around spheres of the geoms' size at these centres."""
         column, row, ahead = self.camera.project(centres).T
         reach = 1.5 * self.scene.model.geom_rbound[self._solid] * self.camera.focus / np.maximum(ahead, 1e-6)
         near, (w, h) = np.zeros(self._background.shape[:2], bool), self.camera.size
@@ -132,7 +136,7 @@ class Painter:
         return near
 
     def _paint_ground(self, spacing: float) -> np.ndarray:
-        """(height, width, 3) The colour of ground and sky where nothing stands."""
+        """Return the colour (height, width, 3) of ground and sky without bodies."""
         off = np.abs((self._ground + spacing / 2) % spacing - spacing / 2).min(axis=-1, keepdims=True)
         far = np.linalg.norm(self._ground, axis=-1) / self.scene.radius
         fade = np.where(np.isnan(far), 1.0, np.clip((far - 1.5) / 5, 0, 1)).astype(np.float32)[..., None]

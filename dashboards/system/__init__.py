@@ -1,0 +1,1 @@
+"""Files, temporary folders and ports of this machine, as dashboards use them."""

@@ -1,0 +1,1 @@
+"""The page of a league: document, figures, links to matches, server."""
