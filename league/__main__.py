@@ -1,6 +1,19 @@
-"""`python -m league` is the command `league`."""
+"""The command `league`, also as `python -m league`: examines what Python imports before it imports it."""
 
-from league.cli import main
+import sys
+
+from league.system import provenance
+
+
+def main() -> None:
+    """Run the command, or exit with 2 and one line if another package is in the place of one of ours."""
+    if problem := provenance.displaced_package():
+        print(f"league: {problem}", file=sys.stderr)
+        sys.exit(2)
+    from league.commands.cli import main as command
+
+    command()
+
 
 if __name__ == "__main__":
     main()

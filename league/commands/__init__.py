@@ -1,1 +1,1 @@
-"""What people type: one module per command or family of commands, each imported when it is asked for."""
+"""The commands of `league`: one module per command or family of commands, each imported when it is needed."""

@@ -1,4 +1,4 @@
-"""Pages of `league COMMAND --help`, written from the notes of options and settings: quick, as nothing heavy loads."""
+"""Pages of `league COMMAND --help`, written from the notes of options and settings, without slow imports."""
 
 import re
 import shutil
@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field
 from typing import Any, Literal, get_args, get_origin
 
-from league.commands.options import shown
 from league.config import flags
 from league.config.schema import Key, absent, hints, is_table, literal, notes, required, settings, table_of
 
@@ -15,13 +14,13 @@ INDENT = 33  # columns before the notes
 
 
 def page(command: str, what: str, options: type, config: Any = None) -> str:
-    """A command's help: its options and, of a command that takes settings, those of `config` with their values."""
+    """Return a command's help: its options and, if it takes settings, the settings of `config` with their values."""
     places = [f for f in settings(options) if f.metadata.get("positional")]
     words = "".join(f" {f.name.upper()}" if f.default is MISSING else f" [{f.name.upper()}]" for f in places)
     lines = [f"usage: league {command}{words} [--option VALUE ...]", "", *_wrap(what, ""), "", "Options"]
     found = notes(options)[1]
     for each in settings(options):
-        lines += _entry(_left(each, hints(options)[each.name]), _told(each, found.get(each.name, "")))
+        lines += _entry(_left(each, hints(options)[each.name]), _description(each, found.get(each.name, "")))
     lines += _entry("--help", "This page.") + _entry("--debug", "Show where in the code an error comes from.")
     if config is not None:
         lines += ["", *_wrap(
@@ -35,13 +34,13 @@ def page(command: str, what: str, options: type, config: Any = None) -> str:
 
 
 def _left(each: Field, hint: Any) -> str:
-    """An option as it is typed."""
+    """Return an option in the form in which it is typed."""
     if each.metadata.get("positional"):
         return each.name.upper()
-    return f"--{flags.option(each).replace('_', '-')} {shown(hint)}".rstrip()
+    return f"--{flags.option(each).replace('_', '-')} {placeholder(hint)}".rstrip()
 
 
-def _told(each: Field, note: str) -> str:
+def _description(each: Field, note: str) -> str:
     default = absent(each, None)
     plain = default not in (MISSING, None, False, ()) and not each.metadata.get("positional")
     shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
@@ -49,7 +48,7 @@ def _told(each: Field, note: str) -> str:
 
 
 def groups(config: Any, prefix: Key = ()) -> Iterator[tuple[str, list[str]]]:
-    """Each table of settings under a title: its name and what it is."""
+    """Yield each table of settings with a title: its name and its summary."""
     summary, found = notes(type(config))
     entries, tables = [], []
     for each in settings(config):
@@ -67,7 +66,7 @@ def groups(config: Any, prefix: Key = ()) -> Iterator[tuple[str, list[str]]]:
 
 
 def _note(each: Field, hint: Any, found: dict[str, str]) -> str:
-    """A setting in a few words; the file that `league init` writes has all of them."""
+    """Describe a setting in a few words; the file written by `league init` has the whole note."""
     kind, _ = required(hint)
     if get_origin(kind) is Literal:
         return f"{', '.join(map(str, get_args(kind)))}"
@@ -88,7 +87,7 @@ def _flat(note: str) -> str:
 
 
 def _entry(left: str, note: str) -> list[str]:
-    """A line, or more where it is too long: what to type, and what that does."""
+    """Return an option and its note in one line, or in several if they are too long."""
     lines = _wrap(note, " " * INDENT) or [""]
     head = f"  {left}"
     if len(head) >= INDENT:
@@ -99,3 +98,13 @@ def _entry(left: str, note: str) -> list[str]:
 def _wrap(text: str, indent: str) -> list[str]:
     width = max(60, min(120, shutil.get_terminal_size().columns))
     return textwrap.wrap(text, width, initial_indent=indent, subsequent_indent=indent)
+
+
+def placeholder(hint: Any) -> str:
+    """Return the text that stands for a value of a type in a help page."""
+    kind, _ = required(hint)
+    if get_origin(kind) is Literal:
+        return "|".join(map(str, get_args(kind)))
+    if get_origin(kind) is tuple:
+        return f"{placeholder(get_args(kind)[0])},..."
+    return {int: "N", float: "X", bool: ""}.get(kind, "TEXT")

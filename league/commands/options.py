@@ -1,19 +1,20 @@
-"""Options that several commands share, and how a command's arguments become a dataclass.
+"""Options that several commands share, and the conversion of a command's arguments to a dataclass.
 
-A command's options are a frozen dataclass in the manner of `league/config/schema.py`: note, type and bounds stand with
-the field. In a field's metadata, `positional` marks a word without a flag, and `flag` a name that Python cannot have.
+A command's options are a frozen dataclass in the style of `league/config/schema.py`: each field has its note, type and
+bounds. In a field's metadata, `positional` marks a word without a flag; `flag` is a name that Python does not allow.
 """
 
 import difflib
 import sys
 from collections.abc import Sequence
 from dataclasses import MISSING, Field, dataclass, field
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeVar
 
 from league.config import flags
 from league.config.build import build, from_text
-from league.config.schema import ConfigError, hints, required, settings
-from league.query import Open
+from league.config.schema import ConfigError, hints, settings
+from league.queries.query import Open
+from matchmaking.ratings.sprt import SequentialTest
 from storage.store import Store
 
 T = TypeVar("T")
@@ -22,54 +23,78 @@ STORE = "league-data"
 
 @dataclass(frozen=True)
 class Where:
-    """Which league."""
+    """The store, and the league in it."""
 
     store: str = STORE
     """The store: a folder, or a URL such as sqlite:///runs/league.db or postgresql://host/league."""
     league: str | None = None
     """The league's name (none: the one that was run last)."""
     blobs: str | None = None
-    """Where the store keeps policies and recordings (none: ROBOT_LEAGUE_BLOBS if set, else beside a SQLite store)."""
+    """Place of the store's policies and recordings (none: ROBOT_LEAGUE_BLOBS if set, else beside a SQLite store)."""
 
     def open(self) -> Open:
-        """The league, opened."""
+        """Open the league."""
         return Open(Store.open(self.store, blobs=self.blobs), self.league)
 
 
 @dataclass(frozen=True)
 class Listing(Where):
-    """Which league, and how to print."""
+    """The league, and the format of the output."""
 
     format: Literal["table", "json", "csv"] = "table"
     """table for people, json or csv for programs."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class HypothesesOptions:
+    """A test of two hypotheses: elo0, and elo1 above it."""
+
+    elo0: float = 0.0
+    """The Elo difference by which A is not better."""
+    elo1: float = 20.0
+    """The one by which it is."""
+    alpha: float = field(default=0.05, metadata={"above": 0.0, "below": 1.0})
+    """Maximum probability of accepting if elo0 is true."""
+    beta: float = field(default=0.05, metadata={"above": 0.0, "below": 1.0})
+    """Maximum probability of rejecting if elo1 is true."""
+    model: Literal["logistic", "normalized"] = "logistic"
+    """Scale of elo0 and elo1: logistic Elo, or Elo normalised by the standard deviation of a game's score."""
+
+    def __post_init__(self) -> None:
+        """Raise an error for a test that cannot decide anything."""
+        self.test()
+
+    def test(self) -> SequentialTest:
+        """The test."""
+        return SequentialTest(self.elo0, self.elo1, self.alpha, self.beta, self.model)
+
+
 def positional(default: object = MISSING, **metadata: object) -> Any:
-    """A field that is given as a word without a flag, wherever it stands; required where there is no default."""
+    """Return a field that is given as a word without a flag, at any place; it is required if it has no default."""
     return field(default=default, metadata={"positional": True, **metadata})
 
 
 def parse(cls: type[T], args: Sequence[str], command: str, what: str) -> T:
-    """A command's arguments as its options, checked. After `--help` it prints that and exits with 0.
+    """Convert a command's arguments to its options, checked. For `--help`, print the help and exit with 0.
 
-    Raises ConfigError, one line, for what the command does not take.
+    Raises ConfigError, one line, for arguments that the command does not take.
     """
-    words = flags.split(args, lambda key: flags.is_switch(key, cls))
-    if words.help:
+    split = flags.split(args, lambda key: flags.is_switch(key, cls))
+    if split.help:
         from league.commands import help
 
         print(help.page(command, what, cls))
         sys.exit(0)
-    return options(cls, words, command)
+    return options(cls, split, command)
 
 
-def options(cls: type[T], words: flags.Words, command: str) -> T:
-    """A command line that was taken apart, as options. Raises ConfigError."""
+def options(cls: type[T], split: flags.SplitArguments, command: str) -> T:
+    """Convert a split command line to options. Raises ConfigError."""
     places = [f for f in settings(cls) if f.metadata.get("positional")]
-    if len(words.rest) > len(places):
-        raise _too_many(words.rest, places, command)
-    table = flags.values(words.given, cls)
-    for place, word in zip(places, words.rest, strict=False):
+    if len(split.rest) > len(places):
+        raise _too_many(split.rest, places, command)
+    table = flags.values(split.given, cls)
+    for place, word in zip(places, split.rest, strict=False):
         if place.name in table:
             raise ConfigError((place.name,), f"{place.name} is given twice, as {table[place.name]} and as {word}")
         table[place.name] = from_text(word, hints(cls)[place.name], (place.name,))
@@ -84,8 +109,8 @@ def options(cls: type[T], words: flags.Words, command: str) -> T:
         names = {f.name: flags.option(f) for f in settings(cls)}
         given = (names.get(error.key[0], error.key[0]),) if error.key else ()
         message = given[0] + error.message.removeprefix(error.key[0]) if given else error.message
-        told = ConfigError(given, message)
-        raise (flags.as_flag(told) if flags.is_of(given, words.given) else told) from None
+        problem = ConfigError(given, message)
+        raise (flags.as_flag(problem) if flags.is_of(given, split.given) else problem) from None
 
 
 def _field(cls: type, name: str) -> str:
@@ -103,15 +128,5 @@ def _too_many(rest: Sequence[str], places: Sequence[Field], command: str) -> Con
 
 
 def spelt(args: Sequence[str]) -> list[str]:
-    """The arguments with -o, which is what people type, as the option that it stands for."""
+    """Return the arguments with the short form -o replaced by the option that it stands for."""
     return ["--output" if word == "-o" else word for word in args]
-
-
-def shown(hint: Any) -> str:
-    """What stands for a value of that type in a help page."""
-    kind, _ = required(hint)
-    if get_origin(kind) is Literal:
-        return "|".join(map(str, get_args(kind)))
-    if get_origin(kind) is tuple:
-        return f"{shown(get_args(kind)[0])},..."
-    return {int: "N", float: "X", bool: ""}.get(kind, "TEXT")

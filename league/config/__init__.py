@@ -1,1 +1,1 @@
-"""The whole experiment as frozen dataclasses, and as a commented file: loads neither torch, jax nor mujoco."""
+"""The whole experiment as frozen dataclasses and as a commented file. Loads neither torch, jax nor mujoco."""

@@ -1,4 +1,4 @@
-"""Plain dictionaries, as TOML or flags give them, into a tree of dataclasses; what is wrong is one ConfigError."""
+"""Conversion of plain dictionaries, from TOML or flags, to a tree of dataclasses. Any error is one ConfigError."""
 
 import difflib
 from collections.abc import Iterator, Mapping
@@ -6,16 +6,19 @@ from dataclasses import MISSING, Field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
+from league.config.former_names import present_names
 from league.config.schema import (
     UNSET,
     ConfigError,
     Key,
     absent,
     check,
+    check_value,
     dotted,
     element,
     expected,
     hints,
+    inner_table,
     is_table,
     refuse,
     required,
@@ -27,35 +30,29 @@ T = TypeVar("T")
 
 
 def build(cls: type[T], table: Mapping[str, Any], base: T | None = None) -> T:
-    """Make a checked tree of dataclasses; what `table` does not name is as in `base`, else the default.
+    """Build a checked tree of dataclasses. Keys missing in `table` have their value in `base`, else their default.
 
-    Where the base or the default holds a table, that table's own class is made: a field may be of several classes.
+    If the base or the default holds a table, the new table is of the same class: a field may allow several classes.
+    Settings may have their former names.
 
     Raises:
-        ConfigError: with the key, the value given and what is possible.
+        ConfigError: with the key, the value given and the possible values.
     """
     cls = cls if base is None else type(base)
+    table, _ = present_names(table, cls, base)
     config = _table(cls, table, base, (), list(keys(cls, base)))
     check(config)
     return config
 
 
 def keys(cls: type, base: Any = None, prefix: Key = ()) -> Iterator[Key]:
-    """Yield every key that can be given, tables too, in the order of the fields."""
+    """Yield every key that a user can set, including tables, in the order of the fields."""
     for field in settings(cls):
         key = (*prefix, field.name)
         yield key
         inner, default = inner_table(cls, field, base)
         if inner is not None and get_origin(required(hints(cls)[field.name])[0]) is not tuple:
             yield from keys(inner, default, key)
-
-
-def inner_table(cls: type, field: Field, base: Any) -> tuple[type | None, Any]:
-    """Return the class of the table, or of the list of tables, in a field, and the table it is by default."""
-    default = absent(field, base)
-    if is_table(default):
-        return type(default), default
-    return table_of(hints(cls)[field.name]), None
 
 
 def _table(cls: type, table: Mapping[str, Any], base: Any, prefix: Key, everywhere: list[Key]) -> Any:
@@ -67,17 +64,34 @@ def _table(cls: type, table: Mapping[str, Any], base: Any, prefix: Key, everywhe
         default = absent(known[name], base)
         if is_table(default) and isinstance(value, Mapping):
             values[name] = _table(type(default), value, default, key, everywhere)
+        elif is_table(default) and required(hints(cls)[name])[0] is Any:
+            raise refuse(key, value, f"expected a table: its settings are keys such as {_first(key, default)}")
         else:
             values[name] = _value(value, hints(cls)[name], key, everywhere)
     for name, field in known.items():
         if name not in values and absent(field, base) is MISSING:
             key = (*prefix, name)
             raise ConfigError(key, f"{dotted(key)} is missing: expected {expected(hints(cls)[name])}")
+    for name, value in values.items():  # before a class uses the values in `__post_init__`
+        if value is not None and not is_table(value):
+            check_value(value, known[name].metadata, (*prefix, name))
     try:
         return replace(base, **values) if is_table(base) else cls(**values)
+    except ArithmeticError as error:  # from a class that divides by a setting
+        reason = f"{dotted(prefix) or 'settings'}: cannot be computed with ({error})"
+        raise ConfigError(prefix, f"{reason}: {', '.join(map(dotted, _named(prefix, values)))}") from None
     except ValueError as error:
         defaults = {name: absent(field, base) for name, field in known.items()}
         raise _contradiction(str(error), prefix, {**defaults, **values}) from None
+
+
+def _named(prefix: Key, values: Mapping[str, Any]) -> Iterator[Key]:
+    return ((*prefix, name) for name, value in values.items() if not is_table(value))
+
+
+def _first(key: Key, table: Any) -> str:
+    """Return the key of a table's first setting as text."""
+    return dotted((*key, next(settings(table)).name))
 
 
 def _value(value: Any, hint: Any, key: Key, everywhere: list[Key]) -> Any:
@@ -102,6 +116,8 @@ def _value(value: Any, hint: Any, key: Key, everywhere: list[Key]) -> Any:
     if kind in (int, float, bool, str) and type(value) is kind:
         return value
     if kind is Path and type(value) is str:
+        if not value:
+            raise refuse(key, value, "must be the name of a file or folder; . is this folder")
         return Path(value)
     raise refuse(key, value, f"expected {expected(hint)}")
 
@@ -114,7 +130,7 @@ def _as_float(value: int, key: Key) -> float:
 
 
 def _contradiction(message: str, prefix: Key, values: Mapping[str, Any]) -> ConfigError:
-    """What a class says of its own settings, told with the setting's whole key and value."""
+    """Return the error of a class about its own settings, completed by the setting's full key and value."""
     where, colon, reason = message.partition(": ")
     names = tuple(where.split("."))
     if not colon or names[0] not in values:
@@ -129,7 +145,7 @@ def _contradiction(message: str, prefix: Key, values: Mapping[str, Any]) -> Conf
 
 
 def _unknown(key: Key, names: Mapping[str, Field], everywhere: list[Key]) -> ConfigError:
-    """Name the key that was probably meant: a similar one of this table, else of any."""
+    """Return the error for an unknown key. It suggests a similar key of this table, else of any table."""
     similar = [(*key[:-1], name) for name in difflib.get_close_matches(key[-1], names, 1)]
     if not similar:
         last_names = {each[-1]: each for each in reversed(everywhere)}
@@ -158,11 +174,11 @@ def from_text(text: str, hint: Any, key: Key) -> Any:
     if kind is bool and text.lower() in TRUTHS:
         return TRUTHS[text.lower()]
     if kind in (int, float) and not text.isascii():
-        return text  # digits of other scripts, which Python takes and a file does not
+        return text  # digits of other scripts: Python accepts them, a TOML file does not
     try:
         return {int: int, float: float}.get(kind, str)(text)
     except ValueError:
-        return text  # of the wrong type, which `build` refuses with what is possible
+        return text  # of the wrong type: `build` refuses it and lists the possible values
 
 
 TRUTHS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}

@@ -1,4 +1,4 @@
-"""Spans of time as people write them: `90`, `"90s"`, `"5m"`, `"1h30m"`."""
+"""Durations as people write them: `90`, `"90s"`, `"5m"`, `"1h30m"`."""
 
 import math
 import re
@@ -7,7 +7,7 @@ UNITS = {"d": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
 """Seconds in each unit, longest first; a duration names its units in this order."""
 
 LONGEST = 100 * 366 * UNITS["d"]
-"""Seconds: nobody waits for a century."""
+"""The longest duration accepted, in seconds: a century."""
 
 _NUMBER = r"([0-9]+(?:\.[0-9]+)?)"
 _PATTERN = re.compile("".join(rf"(?:{_NUMBER}{unit})?" for unit in UNITS))
@@ -31,8 +31,13 @@ def seconds(duration: float | str) -> float:
     )
 
 
+def check_duration(value: float | str) -> None:
+    """Raise ValueError unless `value` is a duration."""
+    seconds(value)
+
+
 def _seconds(duration: float | str) -> float | None:
-    """The same, infinite where it is beyond all numbers; None for what is no duration."""
+    """Return a duration in seconds, infinite where it overflows a float; None if `duration` is not a duration."""
     if not isinstance(duration, str):
         fits = not isinstance(duration, bool) and math.isfinite(duration) and duration >= 0
         return float(duration) if fits else None

@@ -1,7 +1,7 @@
-"""The whole experiment as one frozen dataclass: league.toml, the command line and the run's record are all this.
+"""The whole experiment as one frozen dataclass, for league.toml, the command line and the record of a run.
 
-`arena` holds the settings that the arena itself defines, so its keys depend on the arena that is named. Reading or
-writing a configuration loads neither torch, jax nor mujoco; what only they know is checked by `league/examine.py`.
+`arena` holds the settings that the arena itself defines, so its keys depend on `arena.name`. Reading or writing a
+configuration loads neither torch, jax nor mujoco; `league/runtime/validation.py` makes the checks that need them.
 """
 
 from collections import Counter
@@ -12,16 +12,18 @@ from typing import Any
 
 import arenas
 from agents.settings import HappoConfig
-from arenas.blame import blame, sources
+from arenas.arena_settings import EngineName
+from arenas.contract.error_location import describe_error, source_files
 from arenas.errors import ArenaError
-from arenas.options import EngineName
 from league.config import flags, toml
 from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
+from league.config.former_names import Former, present_names
 from league.config.schema import ConfigError
 from league.config.sections import (
     Budget,
+    Buffers,
     PlayerSettings,
     Rating,
     Storage,
@@ -30,13 +32,14 @@ from league.config.sections import (
     check_name,
     named_players,
 )
+from league.config.text_files import decoded
 from matchmaking.opponents.settings import BY_RATINGS, Opponents
 from matchmaking.pbt import Pbt, check_pbt
 from matchmaking.roles import MAIN, Role, check_roles, role_named
 from storage.records import Player
 
 PRESET = "preset"
-"""The key of a file that names the settings under its own."""
+"""The key in a file that names a preset, whose settings the other keys of the file override."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +52,31 @@ class Config:
     """Seeds everything that is random."""
     deterministic: bool = False
     """On a CPU, with a budget in steps: end byte for byte the same however often the league is killed. Turns then start
-    from fresh worlds, and rating matches when training has ended; to the end of rating.quota these are the same too."""
+    from fresh worlds, and rating matches when training has ended; until rating.episodes_per_pair are played these are
+    the same too."""
     engine: EngineName = "auto"
     """Physics; auto: warp on an NVIDIA GPU, c elsewhere."""
+    buffers: Buffers = field(default_factory=Buffers)
+    """Warp's buffers, where the arena's own are too small."""
     arena: Any = field(default_factory=lambda: arenas.settings("sumo-2v2"))
     """The game; `name` chooses it."""
     players: tuple[PlayerSettings, ...] = ()
-    """Who learns: tables [[players]]; without any, each team has one main player, named after it."""
+    """Players: tables [[players]]; without any, each team has one main player, named after it."""
     roles: tuple[Role, ...] = ()
-    """What players are: tables [[roles]], each with a name and what differs from the role that is there already; for
+    """Roles of players: tables [[roles]], each with a name and its differences from the built-in role of that name; for
     opponents of its own [roles.opponents]."""
     training: Training = field(default_factory=Training)
-    """How players learn."""
+    """Training of players."""
     learner: HappoConfig = field(default_factory=HappoConfig)
     """HAPPO."""
     rating: Rating = field(default_factory=Rating)
-    """How snapshots are rated."""
+    """Rating of snapshots."""
     budget: Budget = field(default_factory=Budget)
-    """When the league has had enough."""
+    """Conditions that end the league."""
     workers: Workers = field(default_factory=Workers)
     """Processes on this machine."""
     storage: Storage = field(default_factory=Storage)
-    """What the store keeps, and where."""
+    """Limits and places of what the store keeps."""
     after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_name, names)]})
     """Leagues of this store, or policies that come with the league, from which the players here start; the nearest
     first."""
@@ -78,53 +84,52 @@ class Config:
     """A curriculum: tables [[stages]] with what differs from the settings above, walked in their order."""
 
     def __post_init__(self) -> None:
-        """Check what depends on several settings."""
+        """Check conditions that involve several settings; raises ValueError."""
         if not self.league:
             raise ValueError("league: must be a name")
         if self.deterministic:
             self._check_deterministic()
         rating, training = self.rating, self.training
-        if rating.worlds % (2 * rating.pairings):
-            raise ValueError(
-                f"rating.worlds: must be a multiple of 2 × rating.pairings, {2 * rating.pairings};"
-                " every pairing plays as many episodes on either side"
-            )
-        if rating.share == 0.0 and self.budget.success is not None:
-            raise ValueError("rating.share: must be above 0 where budget.success is set, which is rated while training")
+        if rating.share == 0.0 and self.budget.by_rating:
+            names = [n for n in ("success", "score", "plateau") if getattr(self.budget, n) is not None]
+            why = f"where budget.{names[0]} is set, which is rated while training"
+            raise ValueError(f"rating.share: must be above 0 {why}")
         chunk = self.learner.sequence or 1
-        if training.rollout % chunk:
-            fit = max(n for n in range(1, chunk) if training.rollout % n == 0)
+        if training.rollout_length % chunk:
+            fit = max(n for n in range(1, chunk) if training.rollout_length % n == 0)
             raise ValueError(
-                f"learner.chunk: must divide training.rollout, {training.rollout}, where"
-                f" learner.architecture.recurrent is set; use {fit}, or another rollout"
+                f"learner.chunk_length: must divide training.rollout_length, {training.rollout_length}, where"
+                f" learner.architecture.recurrent is set; use {fit}, or another rollout length"
             )
         if training.worlds is not None:
-            samples, of = training.worlds * training.rollout // chunk, " / chunk" if chunk > 1 else ""
+            samples, of = training.worlds * training.rollout_length // chunk, " / chunk_length" if chunk > 1 else ""
             if self.learner.minibatches > samples:
-                raise ValueError(f"learner.minibatches: a batch has only {samples} samples, worlds × rollout{of}")
+                raise ValueError(
+                    f"learner.minibatches: a batch has only {samples} samples, worlds × rollout_length{of}"
+                )
             if training.opponents.share and training.opponents.groups > training.worlds:
                 raise ValueError(f"training.opponents.groups: there are only {training.worlds} worlds to share")
         if training.devices > 1:
             self._check_devices()
         self._check_players()
-        check_pbt(training.pbt, training.schedule.kind, self.deterministic, self.learner.kl_step is not None)
+        check_pbt(training.pbt, training.schedule.kind, self.deterministic, self.learner.desired_kl is not None)
         check_roles(self.roles, [player.role for player in self.players])
 
     @property
     def milestones(self) -> dict[str, float]:
-        """The rating's milestones in seconds of training; none in a deterministic league: it hangs on no clock."""
+        """The rating's milestones in seconds of training; none in a deterministic league, which depends on no clock."""
         return {} if self.deterministic else {mark: seconds(mark) for mark in self.rating.milestones}
 
     def role(self, name: str) -> Role:
-        """The role of that name, with nothing left open."""
+        """Return the role of that name, with all values filled in."""
         return role_named(name, self.roles, self.training.opponents)
 
     def opponents(self, player: Player | PlayerSettings) -> Opponents:
-        """Whom a player of the league meets."""
+        """Return the opponent settings of a player of the league."""
         return self.role(player.role).opponents or self.training.opponents
 
     def _check_devices(self) -> None:
-        """Each device has as many worlds, and enough of them for what they are split into."""
+        """Check that all devices get equally many worlds, and enough for minibatches and groups; raises ValueError."""
         training, devices = self.training, self.training.devices
         if training.worlds is None:
             return
@@ -134,8 +139,10 @@ class Config:
                 f"training.worlds: must be a multiple of training.devices, {devices}: take {each * devices} or"
                 f" {(each + 1) * devices}"
             )
-        if self.learner.minibatches > each * training.rollout:
-            raise ValueError(f"learner.minibatches: each device has only {each * training.rollout} samples of a batch")
+        if self.learner.minibatches > each * training.rollout_length:
+            raise ValueError(
+                f"learner.minibatches: each device has only {each * training.rollout_length} samples of a batch"
+            )
         if training.opponents.share and training.opponents.groups > each:
             raise ValueError(f"training.opponents.groups: each device has only {each} worlds to share")
 
@@ -149,11 +156,11 @@ class Config:
                 )
         if self.budget.steps is None:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")
-        if self.budget.train is not None:
-            raise ValueError('budget.train: time runs differently every time; deterministic wants "none" here')
+        if self.budget.training_time is not None:
+            raise ValueError('budget.training_time: time runs differently every time; deterministic wants "none" here')
 
     def _check_players(self) -> None:
-        """Names tell players apart in the whole league, and a group has one place for each team."""
+        """Check that names are unique, and that a group has at most one player per team; raises ValueError."""
         roster = named_players(self.players)
         name, count = Counter(p.name for p in roster).most_common(1)[0] if roster else ("", 0)
         if count > 1:
@@ -164,15 +171,15 @@ class Config:
 
 
 def stage(config: Config, number: int) -> Config:
-    """The settings of one stage: a league of its own, `main.walk` for the stage `walk` of `main`.
+    """Return the settings of one stage: a league of its own, `main.walk` for the stage `walk` of `main`.
 
-    Its players start from those of the stages before it. A budget of the whole league bounds every stage. Raises
-    ConfigError with the stage's key.
+    The players of a stage start from the players of the stages before it. A budget of the whole league bounds every
+    stage. Raises ConfigError with the stage's key.
     """
     own = config.stages[number]
     named = [f"{config.league}.{each.name}" for each in config.stages]
     arena, last = arena_of(own.settings), number == len(config.stages) - 1
-    budget = config.budget if last else replace(config.budget, rate="0s")
+    budget = config.budget if last else replace(config.budget, rating_time="0s")
     after = (*reversed(named[:number]), *config.after)
     base = replace(config, league=named[number], stages=(), after=after, budget=budget)
     if not last:
@@ -193,33 +200,34 @@ def stage(config: Config, number: int) -> Config:
     if not last and not budget.ends:
         raise ConfigError(
             (parts.KEY, str(number), "budget"),
-            f"stage {own.name}: nothing ends it; give it budget.steps, budget.train, budget.success or budget.reward",
+            f"stage {own.name}: nothing ends it; give it budget.steps, budget.training_time, budget.success,"
+            " budget.score, budget.plateau or budget.reward",
         )
     return replace(made, budget=budget)
 
 
 def default(arena: str = "sumo-2v2") -> Config:
-    """The default settings of a league in that arena. Raises ConfigError, one line, where the arena cannot be read."""
+    """Return the default settings of a league in that arena. Raises ConfigError, one line, for a bad arena."""
     try:
         return Config(arena=arenas.settings(arena))
     except ArenaError as error:
         raise ConfigError(("arena", "name"), str(error)) from None
-    except (Exception, SystemExit) as error:  # a person's own file may do anything when it is read
-        raise ConfigError(("arena", "name"), f"arena {arena}: {blame(error, sources(arena))}") from error
+    except (Exception, SystemExit) as error:  # a user's own arena file may do anything on import
+        raise ConfigError(("arena", "name"), f"arena {arena}: {describe_error(error, source_files(arena))}") from error
 
 
 def arena_of(table: Mapping[str, Any]) -> str | None:
-    """The arena that a configuration names, as any TOML reader would see it."""
+    """Return the name of the arena in a parsed TOML table, or None."""
     arena = table.get("arena")
     name = arena.get("name") if isinstance(arena, Mapping) else None
     return name if isinstance(name, str) else None
 
 
 def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str = "") -> Config:
-    """The defaults that a file's keys and then the flags change: those of the arena and the preset that they name.
+    """Return the defaults of the named arena and preset, which the keys of the file and then the flags override.
 
-    Raises ConfigError where a flag names another arena than a file whose settings are for its own, and for a preset
-    that is not there, with its line where the `text` is given.
+    Raises ConfigError if a flag and the file name different arenas, and for an unknown preset, with its line if `text`
+    is given.
     """
     asked, named = given.get(("arena", "name")), arena_of(table)
     if asked is not None and named is not None and asked != named:
@@ -230,7 +238,7 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
     name = asked or named
     if PRESET not in table:
         return default() if name is None else default(name)
-    from league.config.presets import preset  # presets are made of this
+    from league.config.presets import preset  # late, because presets import this module
 
     try:
         base = preset(str(table[PRESET]))
@@ -240,30 +248,52 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
 
 
 def loads(text: str, source: str = "league.toml", given: flags.Given | None = None) -> Config:
-    """A configuration from TOML; what it leaves out is as in the defaults of the arena that it names.
+    """Read a configuration from TOML; missing keys have the defaults of the named arena.
 
-    `given` holds the text of flags by their keys; a flag wins over the file. Raises ConfigError, one line that says
-    where: the file and its line, or the flag.
+    `given` holds the text of flags by their keys; a flag overrides the file. Raises ConfigError, one line with the
+    place of the error: the file and its line, or the flag.
     """
     given, table = given or {}, toml.parse(text, source)
     base = base_of(table, given, source, text)
     table.pop(PRESET, None)
-    tables = table.pop(parts.KEY, None)
-    merged = flags.merged(table, flags.values(given, Config, base))
+    former: Former = {}
     try:
-        config = build(Config, merged, base)
+        table, former = _present_names(table, base)
+        tables = table.pop(parts.KEY, None)
+        config = build(Config, flags.merged(table, flags.values(given, Config, base)), base)
         config = config if tables is None else replace(config, stages=parts.read(tables))
         for number in range(len(config.stages)):
-            stage(config, number)  # each must be possible
+            stage(config, number)  # raises if a stage is invalid
         return config
     except ConfigError as error:
         if flags.is_of(error.key, given):
             raise flags.as_flag(error) from None
-        raise ConfigError(error.key, error.message, f"{toml.place(error.key, text, source)}: ") from None
+        key = former.get(error.key, error.key)
+        raise ConfigError(error.key, error.message, f"{toml.place(key, text, source)}: ") from None
+
+
+def former_names(text: str, source: str = "league.toml") -> Former:
+    """Return the keys of a valid configuration's text that are given by former names, those of stages too."""
+    table = toml.parse(text, source)
+    return _present_names(table, base_of(table, {}, source, text))[1]
+
+
+def _present_names(table: Mapping[str, Any], base: Config) -> tuple[dict[str, Any], Former]:
+    """Return the tables of a file with the present names of all settings; stages hold settings of a league."""
+    found, former = present_names(table, Config, base)
+    stages = table.get(parts.KEY)
+    if isinstance(stages, list):
+        found[parts.KEY] = []
+        for i, each in enumerate(stages):
+            at = (parts.KEY, str(i))
+            own, inner = present_names(each, Config, at=at) if isinstance(each, Mapping) else (each, {})
+            found[parts.KEY].append(own)
+            former |= inner
+    return found, former
 
 
 def change(base: Config, given: flags.Given) -> Config:
-    """The configuration with what the flags say. Raises ConfigError."""
+    """Return the configuration with the values of the flags. Raises ConfigError."""
     name = given.get(("arena", "name"))
     if name is not None and name != base.arena.name:
         base = replace(base, arena=default(name).arena)
@@ -274,23 +304,25 @@ def change(base: Config, given: flags.Given) -> Config:
 
 
 def read(path: Path) -> str:
-    """The text of a file of settings. Raises ConfigError where it cannot be read."""
+    """Return the text of a settings file, with or without a byte-order mark. Raises ConfigError if it is unreadable."""
+    hint = "`league init` writes a file to start from"
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
-        raise ConfigError((), f"cannot read {path}: {why}; `league init` writes a file to start from") from error
+        return decoded(path.read_bytes(), str(path)).replace("\r\n", "\n")
+    except OSError as error:
+        raise ConfigError((), f"cannot read {path}: {error.strerror}; {hint}") from error
+    except ConfigError as error:
+        raise ConfigError((), f"{error.message}; {hint}") from error
 
 
 def load(path: Path) -> Config:
-    """A configuration from a file."""
+    """Read a configuration from a file. Raises ConfigError."""
     return loads(read(path), str(path))
 
 
 def dumps(config: Config) -> str:
-    """The configuration as a commented file that `loads` reads back unchanged."""
+    """Write the configuration as commented TOML that `loads` reads back unchanged."""
     try:
         base = default(config.arena.name)
     except ConfigError:
-        base = None  # settings that were never registered: nothing but themselves can be read with them
+        base = None  # an arena that was never registered has no defaults
     return toml.dumps(config, base) + parts.written(config.stages)

@@ -1,9 +1,9 @@
-"""A command line as settings: every key of a file is a flag, `--learner.lr 3e-4`, and a flag's text is read as a value.
+"""Settings from a command line: every key of a file is a flag, `--learner.lr 3e-4`, and its text is read as a value.
 
     --key VALUE, --key=VALUE    a value; lists with commas, `--rating.milestones 10s,1m`, or as in a file
     --switch, --no-switch       true and false, as are --switch=yes and --switch=no
 
-`-` and `_` are alike in a key. Whatever else stands on the line is a positional word, wherever it stands.
+`-` and `_` are equivalent in a key. All other words are positional, at any place on the line.
 """
 
 import difflib
@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import Field
 from typing import Any, NamedTuple
 
-from league.config.build import TRUTHS, from_text, inner_table
-from league.config.schema import ConfigError, Key, dotted, hints, required, settings
+from league.config.build import TRUTHS, from_text
+from league.config.former_names import Former
+from league.config.schema import ConfigError, Key, dotted, hints, inner_table, required, settings
 
 Given = Mapping[Key, str]
 """The text of flags by their keys."""
@@ -21,20 +22,20 @@ Given = Mapping[Key, str]
 _NEGATIVE = re.compile(r"-\.?\d")
 
 
-class Words(NamedTuple):
-    """A command line, taken apart."""
+class SplitArguments(NamedTuple):
+    """A parsed command line."""
 
     given: dict[Key, str]
     rest: list[str]  # positional words
     help: bool
 
 
-def split(args: Iterable[str], is_switch: Callable[[Key], bool | None]) -> Words:
-    """Take a command line apart; `is_switch` says whether a flag may stand without a value, None if that is not known.
+def split(args: Iterable[str], is_switch: Callable[[Key], bool | None]) -> SplitArguments:
+    """Parse a command line. `is_switch` returns whether a flag may have no value, or None if that is not known.
 
-    Of a flag that is given twice the last one counts. Raises ConfigError for a flag without its value.
+    If a flag is given twice, the last value counts. Raises ConfigError for a flag without its value.
     """
-    words, found = list(args), Words({}, [], False)
+    words, found = list(args), SplitArguments({}, [], False)
     while words:
         word = words.pop(0)
         if word in ("-h", "--help"):
@@ -48,12 +49,12 @@ def split(args: Iterable[str], is_switch: Callable[[Key], bool | None]) -> Words
             raise ConfigError((), f"unknown option {word}: options begin with --; --help lists them")
         else:
             key, text = _flag(word, words, is_switch)
-            found.given[key] = text  # the last one wins, as everywhere
+            found.given[key] = text  # the last value counts
     return found
 
 
 def _flag(word: str, words: list[str], is_switch: Callable[[Key], bool | None]) -> tuple[Key, str]:
-    """The key and text of a flag; takes its value off the words that follow."""
+    """Return the key and text of a flag; removes its value from `words`, the words that follow."""
     name, equals, text = word[2:].partition("=")
     key = tuple(name.replace("-", "_").split("."))
     switch = is_switch(key)
@@ -67,40 +68,65 @@ def _flag(word: str, words: list[str], is_switch: Callable[[Key], bool | None]) 
     if switch:
         return key, words.pop(0) if follows is not None and follows.lower() in TRUTHS else "true"
     if switch is None and (follows is None or follows.endswith(".toml")):
-        return key, ""  # whose it is shows when it is known, or it never is
+        return key, ""  # a flag not known yet: the line is split again, or the flag is refused
     if follows is None:
         raise ConfigError(key, f"--{name} needs a value: --help tells what it may be")
     return key, words.pop(0)
 
 
 def find(key: Key, cls: type, base: Any = None) -> Any:
-    """The type of the setting with that key, None if there is none; `base` as for `build`."""
+    """Return the type of the setting with that key, None if there is none; `base` as for `build`."""
+    return _found(key, cls, base)[1]
+
+
+def _found(key: Key, cls: type, base: Any) -> tuple[Key, Any]:
+    """Return the key by present names, and the type of the setting; None if there is no such setting."""
+    now: Key = ()
     for depth, name in enumerate(key):
-        field = next((each for each in settings(cls) if option(each) == name), None)
+        field = next((each for each in settings(cls) if name in (option(each), each.metadata.get("formerly"))), None)
         if field is None:
-            return None
+            return key, None
+        now = (*now, option(field))
         inner, default = inner_table(cls, field, base)
         if depth == len(key) - 1:
-            return type(default) if default is not None else hints(cls)[field.name]
+            return now, type(default) if default is not None else hints(cls)[field.name]
         if inner is None:
-            return None
+            return key, None
         cls, base = inner, default
-    return None
+    return key, None
+
+
+def present(given: Given, cls: type, base: Any = None) -> tuple[dict[Key, str], Former]:
+    """Return the flags by the present keys of their settings, and the keys that were given by former names.
+
+    Raises ConfigError if a setting is given by both names.
+    """
+    found: dict[Key, str] = {}
+    former: Former = {}
+    for key, text in given.items():
+        now, _ = _found(key, cls, base)
+        if now in found:
+            was = former.get(now, key)
+            raise ConfigError(was, f"{_spelled(dotted(was))} is now {_spelled(dotted(now))}: give only the latter")
+        found[now] = text
+        if now != key:
+            former[now] = key
+    return found, former
 
 
 def option(field: Field) -> str:
-    """A field's name as a flag: its own, unless it says another one."""
+    """Return the name of a field's flag: `flag` of its metadata, else the field's name."""
     return field.metadata.get("flag", field.name)
 
 
 def is_switch(key: Key, cls: type, base: Any = None) -> bool | None:
-    """Whether the setting with that key is true or false; None if there is no such setting."""
+    """Return whether the setting with that key is a bool; None if there is no such setting."""
     hint = find(key, cls, base)
     return None if hint is None else required(hint)[0] is bool
 
 
 def values(given: Given, cls: type, base: Any = None) -> dict[str, Any]:
-    """Flags as the nested tables that a file would hold. Raises ConfigError for one that does not exist."""
+    """Return flags as the nested tables of a file. Raises ConfigError for an unknown flag."""
     tables: dict[str, Any] = {}
     for key, text in given.items():
         hint = find(key, cls, base)
@@ -114,9 +140,9 @@ def values(given: Given, cls: type, base: Any = None) -> dict[str, Any]:
 
 
 def unknown(key: Key, options: Iterable[str]) -> ConfigError:
-    """Say that there is no such flag, and which one was probably meant."""
+    """Return the error for an unknown flag, with similar flags as a suggestion."""
     names = list(options)
-    near = [name for name in names if name.rpartition(".")[2] == key[-1]]  # without its table, or in a wrong one
+    near = [name for name in names if name.rpartition(".")[2] == key[-1]]  # without its table, or in a wrong table
     near = near or difflib.get_close_matches(".".join(key), names, 1)
     meant = f"did you mean {' or '.join(map(_spelled, near))}? " if near else ""
     return ConfigError(key, f"unknown option {_spelled(dotted(key))}: {meant}(--help lists all)")
@@ -134,25 +160,25 @@ def every(cls: type, base: Any, prefix: Key = ()) -> Iterator[Key]:
 
 
 def merged(table: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a file with those of flags laid over them."""
+    """Return the tables of a file, overridden by those of flags."""
     both = dict(table)
     for name, value in over.items():
         below = both.get(name)
         if isinstance(value, Mapping):
             if below is None or isinstance(below, Mapping):
-                both[name] = merged(below or {}, value)  # else the file holds no table here, which `build` refuses
+                both[name] = merged(below or {}, value)  # else the file has a plain value here, which `build` refuses
         else:
             both[name] = value
     return both
 
 
 def is_of(key: Key, given: Given) -> bool:
-    """Whether the setting with that key, or a table round it, was given as a flag."""
+    """Return whether the setting with that key, or a table that contains it, was given as a flag."""
     return any(key[: len(each)] == each for each in given)
 
 
 def as_flag(error: ConfigError) -> ConfigError:
-    """The error with its key written as a flag."""
+    """Return the error with its key written as a flag."""
     name = dotted(error.key)
     if not name or not error.message.startswith(f"{name} "):
         return ConfigError(error.key, error.message)
@@ -160,5 +186,5 @@ def as_flag(error: ConfigError) -> ConfigError:
 
 
 def _spelled(name: str) -> str:
-    """A setting as a flag, as --help writes it."""
+    """Return the name of a setting as a flag, as --help writes it."""
     return f"--{name.replace('_', '-')}"

@@ -1,15 +1,17 @@
-"""What dataclass fields say of themselves when they are settings: a note, a type, bounds; and the check of values.
+"""Description of settings by dataclass fields (a note, a type, bounds), and the check of values.
 
 A setting may hold an int, float, bool, str, Path, Literal, tuple[T, ...], tuple[T, U], another dataclass (a table), a
-tuple of those (a list of tables), or any of these or None. The string literal under a field is its note. What a value
-must satisfy stands in the field's metadata:
+tuple of those (a list of tables), or any of these or None. The string literal under a field is its note. The
+field's metadata has the conditions on its value:
 
     lr: float = field(default=5e-4, metadata={"above": 0.0, "high": 0.1})
 
 `low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
-function that raises ValueError on values it does not take. What concerns several fields goes into `__post_init__`,
-which raises ValueError("field: message") or ValueError("table.field: message"), or any other message to speak of the
-whole table. Numbers are finite, and where they have no upper bound of their own at most LARGEST, whole ones 64 bits.
+function that raises ValueError for values that it refuses; `most` bounds the number of values in a list; `formerly` is
+the name that the setting had before (`league/config/former_names.py`). Conditions on several fields are checked in
+`__post_init__`, which raises ValueError("field: message") or ValueError("table.field: message"), or any other message
+about the whole table; bounds are checked before it. Numbers are finite. Without an upper bound of their own, floats are
+at most LARGEST and integers fit into 64 bits. Texts and lists are no longer than LONGEST and MOST.
 """
 
 import ast
@@ -29,8 +31,10 @@ UNSET = "none"
 """The word that stands for None: TOML has no null."""
 
 LARGEST = 1e12
-"""More than this is meant by nobody, of any quantity: squares of what is not much larger overflow single precision."""
-ECHOED = 200  # characters of a value that an error repeats
+"""The largest float without a bound of its own: the square of a much larger one overflows single precision."""
+ECHOED = 200  # characters of a value that an error message repeats at most
+DEEPEST = 500  # folders in a path; Python creates them recursively
+LONGEST, MOST = 10_000, 1_000  # maximum characters of a text, and values of a list
 
 WORDS: dict[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes", Path: "a path in quotes"
@@ -44,7 +48,7 @@ BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
 
 
 class ConfigError(ValueError):
-    """A setting that cannot be: one line that says where, what was given and what is possible."""
+    """An invalid setting: one line with its place, the value given and the possible values."""
 
     def __init__(self, key: Key, message: str, place: str = ""):
         super().__init__(f"{place}{message}")
@@ -54,18 +58,18 @@ class ConfigError(ValueError):
 
 @cache
 def hints(cls: type) -> dict[str, Any]:
-    """Return the types of a class's fields, names resolved."""
+    """Return the types of a class's fields, with names resolved."""
     return get_type_hints(cls)
 
 
 @cache
 def notes(cls: type) -> tuple[str, dict[str, str]]:
-    """Return the first line of a class's docstring and the docstring under each of its fields, inherited ones too."""
+    """Return the first line of a class's docstring and the note under each of its fields, inherited ones too."""
     summary, found = "", {}
     for each in reversed([base for base in cls.__mro__ if is_dataclass(base)]):
         try:
             body = ast.parse(textwrap.dedent(inspect.getsource(each))).body[0]
-        except (OSError, TypeError):  # made at run time or typed into a console: there is no source to read
+        except (OSError, TypeError):  # a class made at run time or in a console has no source
             continue
         assert isinstance(body, ast.ClassDef)
         summary = (ast.get_docstring(body) or "").partition("\n")[0]
@@ -77,12 +81,12 @@ def notes(cls: type) -> tuple[str, dict[str, str]]:
 
 
 def settings(cls: Any) -> Iterator[Field]:
-    """Yield the fields of a dataclass that can be given; those marked `apart` are read and written elsewhere."""
+    """Yield the fields of a dataclass that are settings; fields marked `apart` are read and written elsewhere."""
     return (each for each in fields(cls) if each.init and not each.metadata.get("apart"))
 
 
 def is_table(value: Any) -> bool:
-    """Tell whether a value is a group of settings."""
+    """Return whether a value is a table: a dataclass instance."""
     return is_dataclass(value) and not isinstance(value, type)
 
 
@@ -94,6 +98,14 @@ def table_of(hint: Any) -> Any:
     return kind if isinstance(kind, type) and is_dataclass(kind) else None
 
 
+def inner_table(cls: type, field: Field, base: Any) -> tuple[type | None, Any]:
+    """Return the class of the table, or of the list of tables, in a field, and the default table."""
+    default = absent(field, base)
+    if is_table(default):
+        return type(default), default
+    return table_of(hints(cls)[field.name]), None
+
+
 def element(kind: Any, index: int) -> Any:
     """Return the type of an element of a tuple type."""
     args = get_args(kind)
@@ -101,19 +113,19 @@ def element(kind: Any, index: int) -> Any:
 
 
 def dotted(key: Key) -> str:
-    """Write a key as people read it: `players[1].team` for the team of the second player."""
+    """Return a key as text: `players[1].team` for the team of the second player."""
     return "".join(f"[{name}]" if name.isdigit() else f".{name}" for name in key).removeprefix(".")
 
 
 def absent(field: Field, base: Any) -> Any:
-    """Return what a setting is when nobody gives it: as in `base`, else its default, else MISSING."""
+    """Return the value of a setting that is not given: the value in `base`, else the default, else MISSING."""
     if is_table(base):
         return getattr(base, field.name)
     return field.default_factory() if field.default_factory is not MISSING else field.default
 
 
 def required(hint: Any) -> tuple[Any, bool]:
-    """Split `X | None` into X and whether None is possible; of several dataclasses X is the first."""
+    """Split `X | None` into X and whether None is allowed; X is the first of several dataclasses. Raises TypeError."""
     if get_origin(hint) not in (Union, types.UnionType):
         return hint, False
     kinds = [kind for kind in get_args(hint) if kind is not types.NoneType]
@@ -126,7 +138,7 @@ def literal(value: Any) -> str:
     """Write a value as TOML. `repr` gives the shortest digits that read back as the same float."""
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, (str, Path)):  # JSON's escapes are TOML's, but for one character
+    if isinstance(value, (str, Path)):  # JSON and TOML have the same escapes, except for one character
         return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(literal, value))}]"
@@ -136,7 +148,7 @@ def literal(value: Any) -> str:
 
 
 def expected(hint: Any) -> str:
-    """Say in words which values a type allows."""
+    """Describe in words the values that a type allows."""
     kind, optional = required(hint)
     args = get_args(kind)
     if get_origin(kind) is Literal:
@@ -151,7 +163,7 @@ def expected(hint: Any) -> str:
 
 
 def bounds(metadata: Mapping[str, Any]) -> str:
-    """Say in words between which bounds a setting lies; empty when there are none."""
+    """Describe in words the bounds of a setting; empty if there are none."""
     limits = {name: metadata[name] for name in BOUNDS if name in metadata}
     if limits.keys() == {"low", "high"}:
         return f"between {limits['low']} and {limits['high']}"
@@ -159,12 +171,12 @@ def bounds(metadata: Mapping[str, Any]) -> str:
 
 
 def refuse(key: Key, value: Any, reason: object) -> ConfigError:
-    """Say which setting was given which value and why that cannot be."""
+    """Return the error for a setting with an invalid value, and the reason."""
     return ConfigError(key, f"{dotted(key)} = {cut(literal(value))}: {reason}")
 
 
 def cut(text: str) -> str:
-    """A text that is repeated to who gave it, less the middle of a long one."""
+    """Return a text for an error message, without the middle if it is long."""
     return text if len(text) <= ECHOED else f"{text[:120]} ... {text[-20:]} ({len(text):,} characters)"
 
 
@@ -193,6 +205,13 @@ def check_value(value: Any, metadata: Mapping[str, Any], key: Key) -> None:
     """Check one setting; raises ConfigError as `check` does."""
     if not _all(value, lambda each: not isinstance(each, float) or math.isfinite(each)):
         raise refuse(key, value, "must be finite")
+    if not _all(value, lambda each: not isinstance(each, str | Path) or len(str(each)) <= LONGEST):
+        raise refuse(key, value, f"has more than {LONGEST:,} characters")
+    if not _all(value, lambda each: not isinstance(each, str | Path) or str(each).count("/") <= DEEPEST):
+        raise refuse(key, value, f"has more than {DEEPEST} folders within each other")
+    most = metadata.get("most", MOST)
+    if isinstance(value, tuple) and len(value) > most:
+        raise refuse(key, value, f"has {len(value):,} values; at most {most:,} are possible")
     limits = [(holds, metadata[name]) for name, (_, holds) in BOUNDS.items() if name in metadata]
     if not _all(value, lambda each: all(holds(each, bound) for holds, bound in limits)):
         raise refuse(key, value, f"must be {bounds(metadata)}")

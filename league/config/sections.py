@@ -1,19 +1,25 @@
-"""The tables of a configuration: who plays, how they learn, how they are rated, what it may cost. Nothing heavy."""
+"""The tables of a configuration: players, training, rating, budget, workers, storage. Imports nothing heavy."""
 
 import math
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from league.config.durations import seconds
 from matchmaking.opponents import Opponents
 from matchmaking.pbt import Pbt
 from matchmaking.schedule import Schedule
 
-MOST_WORLDS = 2**20  # beyond it no machine of today has the memory, and a slip of the keyboard is likelier
+if TYPE_CHECKING:  # for its type only: a query does not import arenas
+    from arenas.arena_settings import BufferSizes
 
-FADE_STEPS = 500_000  # environment steps over which the dense reward fades by default
+MAX_LAYERS = 32  # equal to that of agents.settings, which a query does not import
+MOST_WORLDS = 2**20  # more exceeds the memory of today's machines and is likely a typing error
+
+LONGEST_NAME = 100  # characters: leagues and players name files, whose names have at most 255 bytes
+
+SHAPING_DURATION = 500_000  # environment steps over which the dense reward fades by default
 
 
 def _is_duration(value: Any) -> None:
@@ -26,7 +32,9 @@ def _lasts(value: Any) -> None:
 
 
 def check_name(value: str) -> None:
-    """Raise ValueError unless the text can be part of names such as blue@16, and the name of a file; empty text can."""
+    """Raise ValueError unless a text can be part of names such as blue@16 and of file names. Empty text is valid."""
+    if len(value) > LONGEST_NAME:
+        raise ValueError(f"a name has at most {LONGEST_NAME} characters")
     if not re.fullmatch(r"[\w.+-]*", value) or value in (".", ".."):
         raise ValueError("a name is made of letters, digits and . _ + -, and not . or .. alone")
 
@@ -38,18 +46,18 @@ class PlayerSettings:
     team: str = field(metadata={"valid": check_name})
     """The arena's team that it plays."""
     name: str = field(default="", metadata={"valid": check_name})
-    """How it is called; empty: as its team, and team-2, team-3, ... where the team has more of them."""
+    """Its name; empty: that of its team, and team-2, team-3, ... for further players of the team."""
     role: str = field(default="main", metadata={"valid": check_name})
-    """What kind of player it is: main, main_exploiter, league_exploiter, fixed (never learns), or one of [[roles]]."""
+    """Its role: main, main_exploiter, league_exploiter, fixed (never learns), or one of [[roles]]."""
     group: str = field(default="", metadata={"valid": check_name})
     """Players of one group learn together, at most one of each team; empty: its number within its team, 1, 2, ..."""
-    hidden: tuple[int, ...] | None = field(default=None, metadata={"low": 1, "high": 8192})
-    """Widths of its networks' hidden layers (none: as learner.architecture says)."""
+    hidden: tuple[int, ...] | None = field(default=None, metadata={"low": 1, "high": 8192, "most": MAX_LAYERS})
+    """Widths of its networks' hidden layers (none: those of learner.architecture)."""
     lr: float | None = field(default=None, metadata={"low": 0.0, "high": 1.0})
-    """Adam's step size for its actors (none: as learner.lr says)."""
+    """Learning rate of its actors (none: learner.lr)."""
 
     def __post_init__(self) -> None:
-        """Refuse a network without layers and a player without a team."""
+        """Raise ValueError for a network without layers and for a player without a team."""
         if self.hidden == ():
             raise ValueError("hidden: must be at least one width")
         if not self.team:
@@ -58,18 +66,18 @@ class PlayerSettings:
 
 @dataclass(frozen=True)
 class Training:
-    """How players learn."""
+    """Training of players."""
 
     worlds: int | None = field(default=None, metadata={"low": 2, "high": MOST_WORLDS})
-    """Worlds simulated at once (none: 256 on a CPU; 2048 on each GPU, which waits for launches below that)."""
-    rollout: int = field(default=32, metadata={"low": 1, "high": 100_000})
+    """Worlds simulated at once (none: 256 on a CPU, and on each GPU as many as suit the arena, some thousand)."""
+    rollout_length: int = field(default=32, metadata={"low": 1, "high": 100_000, "formerly": "rollout"})
     """Decisions per world between two updates."""
-    turn: int = field(default=16, metadata={"low": 1, "high": 100_000})
+    iterations_per_turn: int = field(default=16, metadata={"low": 1, "high": 100_000, "formerly": "turn"})
     """Learning iterations between two checkpoints at most: what a crash can cost."""
     schedule: Schedule = field(default_factory=Schedule)
-    """Which teams learn when."""
+    """The schedule: which teams learn, and when."""
     opponents: Opponents = field(default_factory=Opponents)
-    """Whom they learn against."""
+    """Opponents of learning players."""
     pbt: Pbt = field(default_factory=Pbt)
     """Population based training across the players of a team."""
     shaping_steps: int | None = field(default=None, metadata={"low": 0})
@@ -87,36 +95,38 @@ class Training:
     stagger: bool = True
     """First episodes begin at different times, so that long ones do not all end together."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where torch learns."""
+    """The device on which torch learns."""
     devices: int = field(default=1, metadata={"low": 1, "high": 64})
     """GPUs over which one turn is spread, each with a process of its own and an equal part of the worlds; on a CPU
     processes."""
 
     def __post_init__(self) -> None:
-        """Refuse two ways at once in which the dense reward fades."""
+        """Raise ValueError if the dense reward would fade in two ways at once."""
         if self.shaping_until is not None and self.shaping_steps is not None:
             raise ValueError(
                 'shaping_until: the dense reward fades by success or over shaping_steps, not both; set one to "none"'
             )
 
     @property
-    def fade_steps(self) -> int:
-        """Environment steps over which the dense reward fades, where it does not follow success."""
-        return FADE_STEPS if self.shaping_steps is None else self.shaping_steps
+    def shaping_duration(self) -> int:
+        """Environment steps over which the dense reward fades, unless it fades by success."""
+        return SHAPING_DURATION if self.shaping_steps is None else self.shaping_steps
 
 
 @dataclass(frozen=True)
 class Rating:
-    """How snapshots are rated."""
+    """Rating of snapshots."""
 
-    worlds: int = field(default=512, metadata={"low": 2, "high": MOST_WORLDS})
-    """Episodes per batch, shared by its pairings; half of each pairing's play with sides swapped."""
-    pairings: int = field(default=4, metadata={"low": 1, "high": 4096})
-    """Pairs of snapshots that meet in one batch."""
-    quota: int = field(default=128, metadata={"low": 2})
+    worlds: int | None = field(default=None, metadata={"low": 2, "high": MOST_WORLDS})
+    """Episodes per batch, shared by its pairings; half of each pairing's play with sides swapped (none: 512 on a CPU,
+    4096 on a GPU)."""
+    pairings: int | None = field(default=None, metadata={"low": 1, "high": 4096})
+    """Pairs of snapshots that meet in one batch (none: 4 on a CPU, 32 on a GPU)."""
+    episodes_per_pair: int = field(default=128, metadata={"low": 2, "formerly": "quota"})
     """Episodes after which two snapshots have met enough."""
-    final_quota: int = field(default=512, metadata={"low": 2})
-    """The same for each player's newest snapshot against the opponents by which progress is told."""
+    final_episodes_per_pair: int = field(default=512, metadata={"low": 2, "formerly": "final_quota"})
+    """The same, once training has ended, for each player's newest snapshot against the opponents by which progress is
+    measured."""
     milestones: tuple[str, ...] = ("10s", "30s")
     """Training times whose snapshots the newest one is compared with."""
     scripts: tuple[str, ...] | None = None
@@ -130,10 +140,15 @@ class Rating:
     record: bool = True
     """Keep a recording of each pairing."""
     recordings: int = field(default=2, metadata={"low": 1, "high": MOST_WORLDS})
-    """How many of its episodes that has, the first of either side by turns, up to all of them."""
+    """Number of episodes to record per pairing, alternating sides, at most all of them."""
 
     def __post_init__(self) -> None:
-        """Refuse milestones that are no durations."""
+        """Raise ValueError for batches that cannot be shared evenly, and for milestones that are not durations."""
+        if self.worlds is not None and self.worlds % (2 * (self.pairings or 1)):
+            times = f"2 × rating.pairings, {2 * self.pairings}" if self.pairings else "2"
+            raise ValueError(
+                f"worlds: must be a multiple of {times}; every pairing plays as many episodes on either side"
+            )
         for mark in self.milestones:
             try:
                 seconds(mark)
@@ -143,42 +158,54 @@ class Rating:
 
 @dataclass(frozen=True)
 class Budget:
-    """When a league has had enough; a league goes on for ever where nothing is set."""
+    """Conditions that end a league; without any it goes on for ever."""
 
-    train: str | None = field(default=None, metadata={"valid": _lasts})
+    training_time: str | None = field(default=None, metadata={"valid": _lasts, "formerly": "train"})
     """Training time in all, e.g. 5m or 1h30m."""
     steps: int | None = field(default=None, metadata={"low": 1})
     """Environment steps (decisions × worlds) in all."""
-    rate: str | None = field(default=None, metadata={"valid": _is_duration})
+    rating_time: str | None = field(default=None, metadata={"valid": _is_duration, "formerly": "rate"})
     """Time for rating matches after training."""
     success: float | None = field(default=None, metadata={"above": 0.0, "below": 1.0})
     """In an arena of one team: enough when the 95 % interval of a frozen policy's success rate begins above this."""
+    score: float | None = field(default=None, metadata={"above": 0.0, "below": 1.0})
+    """In an arena of several teams: enough when the 95 % interval of each player's score against initial begins above
+    this."""
+    plateau: int | None = field(default=None, metadata={"low": 1})
+    """Enough when no snapshot of so many has been better than the best one before them, once that one surely succeeds
+    or scores in more than half of its games."""
     reward: float | None = None
     """Enough when each player's reward per episode, without shaping, was this much on average in 10 iterations."""
 
     @property
     def train_seconds(self) -> float:
-        """Training time in seconds; infinite where it is not bounded."""
-        return math.inf if self.train is None else seconds(self.train)
+        """Training time in seconds; infinite if there is no bound."""
+        return math.inf if self.training_time is None else seconds(self.training_time)
 
     @property
     def window(self) -> int:
-        """Learning iterations whose rewards are looked at."""
+        """Number of learning iterations over which rewards are averaged; 0 if `reward` is not set."""
         return 0 if self.reward is None else 10
 
     @property
     def ends(self) -> bool:
-        """Whether training comes to an end by itself."""
-        return any(each is not None for each in (self.train, self.steps, self.success, self.reward))
+        """True if a setting of this budget ends training."""
+        ends = (self.training_time, self.steps, self.success, self.score, self.plateau, self.reward)
+        return any(each is not None for each in ends)
+
+    @property
+    def by_rating(self) -> bool:
+        """True if rating matches can end training."""
+        return any(each is not None for each in (self.success, self.score, self.plateau))
 
     def spent(self, seconds: float, steps: int) -> bool:
-        """Whether so much training is all that was asked for."""
+        """Return whether training of that many seconds and environment steps uses up the budget."""
         return seconds >= self.train_seconds or (self.steps is not None and steps >= self.steps)
 
     @property
     def rate_seconds(self) -> float:
-        """Rating time in seconds; infinite where it is not bounded."""
-        return math.inf if self.rate is None else seconds(self.rate)
+        """Rating time in seconds; infinite if there is no bound."""
+        return math.inf if self.rating_time is None else seconds(self.rating_time)
 
 
 @dataclass(frozen=True)
@@ -190,31 +217,53 @@ class Workers:
     match: int = field(default=1, metadata={"low": 0, "high": 64})
     """Processes that play rating matches."""
     nice: int = field(default=19, metadata={"low": 0, "high": 19})
-    """How far they stand back from learning: their niceness, as the operating system counts it (0: not at all)."""
+    """Niceness of match workers in the operating system: how far they give way to learning (0: not at all)."""
     threads: int = field(default=0, metadata={"low": 0, "high": 1024})
     """Threads of the C engine in each (0: all cores)."""
     lease: float = field(default=60.0, metadata={"low": 3.0, "high": 3600.0})
     """Seconds after which the job of a silent worker goes to another; it says that it holds it four times as often."""
-    tries: int = field(default=3, metadata={"low": 1, "high": 100})
-    """How often a job that fails is tried before it is set aside; the league goes on without it."""
+    max_attempts: int = field(default=3, metadata={"low": 1, "high": 100, "formerly": "tries"})
+    """Attempts at a failing job before it is set aside; the league goes on without it."""
+
+
+@dataclass(frozen=True)
+class Buffers:
+    """Warp's buffers for contacts, where an arena's own sizes are too small. They change no result of a world that
+    fits.
+    """
+
+    contacts: int | None = field(default=None, metadata={"low": 1, "high": 100_000})
+    """Slots per world in the contact pool of all worlds, for contacts and for pairs of near geoms (none: the arena's
+    own)."""
+    rows: int | None = field(default=None, metadata={"low": 1, "high": 100_000})
+    """Constraint rows per world (none: the arena's own)."""
+
+    def where(self) -> "BufferSizes":
+        """Return the sizes that are set, as keyword arguments for building an arena."""
+        found: BufferSizes = {}
+        if self.contacts is not None:
+            found["contacts"] = self.contacts
+        if self.rows is not None:
+            found["rows"] = self.rows
+        return found
 
 
 @dataclass(frozen=True)
 class Storage:
-    """What the store keeps, and where."""
+    """Limits and places of what the store keeps."""
 
     blobs: str | None = None
     """Folder or URL for policies and recordings (none: ROBOT_LEAGUE_BLOBS if set, else beside a SQLite store)."""
     checkpoints: int = field(default=8, metadata={"low": 1})
     """Resume states kept of each player."""
-    policies: int = field(default=256, metadata={"low": 2})
+    cached_policies: int = field(default=256, metadata={"low": 2, "formerly": "policies"})
     """Policies that a process which plays matches keeps in memory."""
-    workers: str = field(default="1d", metadata={"valid": _lasts})
-    """For how long the store remembers a process that went without a word."""
+    worker_retention: str = field(default="1d", metadata={"valid": _lasts, "formerly": "workers"})
+    """Time for which the store remembers a process that has stopped reporting."""
 
 
 def named_players(players: tuple[PlayerSettings, ...]) -> tuple[PlayerSettings, ...]:
-    """The players with the names and groups filled in that they have when they give none."""
+    """Return the players with default names and groups filled in."""
     seen: Counter[str] = Counter()
     named = []
     for player in players:
@@ -226,5 +275,14 @@ def named_players(players: tuple[PlayerSettings, ...]) -> tuple[PlayerSettings, 
 
 
 def mains(teams: tuple[str, ...]) -> tuple[PlayerSettings, ...]:
-    """Who plays where a configuration names nobody: one main player for each team."""
+    """Return the players of a configuration that names none: one main player for each team."""
     return named_players(tuple(PlayerSettings(team) for team in teams))
+
+
+def section(name: str) -> type | None:
+    """Return the class of a table of a configuration that holds settings of its own; None for any other key."""
+    if name == "learner":
+        from agents.settings import HappoConfig  # late: a query does not import agents unless it asks for the learner
+
+        return HappoConfig
+    return {"training": Training, "rating": Rating, "budget": Budget, "workers": Workers, "storage": Storage}.get(name)

@@ -1,4 +1,4 @@
-"""The stages of a curriculum: tables [[stages]], each a name and settings that are laid over the league's own.
+"""The stages of a curriculum: tables [[stages]], each a name and settings that override those of the league.
 
     [[stages]]
     name = "walk"
@@ -6,7 +6,7 @@
     budget.success = 0.9
     budget.steps = 100_000_000
 
-A stage ends when its budget says so. What it does not name is as in the league.
+A stage ends by its budget. Keys that it does not name have the league's values.
 """
 
 from collections import Counter
@@ -24,14 +24,14 @@ OF_THE_LEAGUE = ("league", "seed", "deterministic", "engine", "workers", "storag
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a curriculum: settings laid over the league's, as TOML's plain values."""
+    """A part of a curriculum: settings that override those of the league, as plain TOML values."""
 
     name: str
     settings: Mapping[str, Any]
 
 
 def read(tables: Any) -> tuple[Stage, ...]:
-    """The stages of a file. Raises ConfigError with the key for what cannot be the head of a stage."""
+    """Return the stages of a file. Raises ConfigError, with the key, for an invalid table of a stage."""
     if not isinstance(tables, Sequence) or not all(isinstance(table, Mapping) for table in tables):
         raise ConfigError((KEY,), f"{KEY}: expected a list of tables, each beginning with [[{KEY}]]")
     stages = []
@@ -54,7 +54,7 @@ def read(tables: Any) -> tuple[Stage, ...]:
 
 
 def written(stages: Sequence[Stage]) -> str:
-    """The stages as TOML that `read` gives back unchanged."""
+    """Write the stages as TOML that `read` reads back unchanged."""
     return "".join(
         f"\n[[{KEY}]]\nname = {literal(stage.name)}\n"
         + "".join(f"{'.'.join(map(_bare, key))} = {literal(value)}\n" for key, value in _flat(stage.settings))

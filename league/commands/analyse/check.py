@@ -1,0 +1,33 @@
+"""`league check`: test whether an arena keeps the contract."""
+
+from dataclasses import dataclass
+
+from arenas.arena_settings import EngineName
+from league.commands.options import parse, positional
+from league.commands.progress_bar import report_kernels
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """The arena to examine, and the engine."""
+
+    name: str = positional()
+    """An arena's name, or file.py:name for your own."""
+    engine: EngineName = "auto"
+    """Physics to examine it with."""
+
+
+def check(args: list[str]) -> int:
+    """Examine an arena against the contract; return exit code 0 if the arena keeps the contract, 1 if not.
+
+    A fault of the arena's own code, which may raise, exit or lack a hook, is reported as a failed promise with the line
+    in its file. An unknown name is bad input.
+    """
+    options = parse(CheckOptions, args, "check", "Examine an arena against the contract that the league relies on.")
+    from arenas.contract.check import examine
+
+    with report_kernels():
+        found = examine(options.name, engine=options.engine)
+    for check, ok, detail in found:
+        print(f"{'ok    ' if ok else 'FAILED'}  {check}{': ' + detail if detail else ''}")
+    return 0 if all(ok for _, ok, _ in found) else 1

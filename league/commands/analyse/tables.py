@@ -1,0 +1,120 @@
+"""`league matches`, `snapshots`, `curves`: the store's tables, for people and for programs."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from dashboards.tables import Column, Format, render
+from dashboards.text import wrapped
+from league.commands.options import Listing, parse
+from league.queries.columns import CURVES, MATCHES, NEWEST, PURPOSE, SNAPSHOTS
+from league.queries.query import curve_rows, match_rows, snapshot_rows
+from league.queries.ratings.rating_rows import Row, when
+from league.system.provenance import LINE
+from storage.database.urls import without_passwords
+
+
+@dataclass(frozen=True)
+class LogOptions(Listing):
+    """The league, the number of rows, and the format of the output."""
+
+    last: int | None = field(default=None, metadata={"low": 1})
+    """So many of the newest rows (none: 30 in a table, all of them as json and csv)."""
+    all: bool = False
+    """Everything, in a table too."""
+
+
+@dataclass(frozen=True)
+class CurveOptions(LogOptions):
+    """The players whose learning curves are printed, the number of rows, and the format of the output."""
+
+    player: str | None = None
+    """One player's (none: everyone's)."""
+
+
+def matches(args: list[str]) -> int:
+    """Print the match log."""
+    options = parse(LogOptions, args, "matches", "Every batch of episodes, counted for a; the newest at the end.")
+    with options.open() as opened:
+        total = opened.store.last_match(opened.league)
+        rows = match_rows(opened.store.matches(opened.league, after=total - _asked(options, total)))
+    if options.format == "table":
+        rows = [{**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}"} for row in rows]
+    unlike = [key for key in ("arena", "engine") if len({row[key] for row in rows}) > 1]
+    shown = list(MATCHES) if all(row["purpose"] == "rating" for row in rows) else [MATCHES[0], PURPOSE, *MATCHES[1:]]
+    print(_newest(rows, [*shown, *(Column(key, no_wrap=True) for key in unlike)], options, args, "matches", total))
+    return 0
+
+
+def snapshots(args: list[str]) -> int:
+    """Print the frozen policies."""
+    options = parse(Listing, args, "snapshots", "The frozen policies and scripted opponents.")
+    with options.open() as opened:
+        ends = opened.store.settings_ends(opened.league, LINE)
+        rows = snapshot_rows(opened.store.snapshots(opened.league, brief=True), ends)
+    if options.format == "table":
+        rows = [{**row, "digest": row["digest"][:12], "thinned": when(row["thinned"] or 0) or ""} for row in rows]
+    shown = [*SNAPSHOTS, *(["thinned"] if any(row["thinned"] for row in rows) else [])]
+    if len({row["code"] for row in rows if row["code"]}) > 1:
+        shown.append(Column("code", no_wrap=True))
+    print(render(rows, shown if options.format == "table" else (), options.format))
+    return 0
+
+
+def curves(args: list[str]) -> int:
+    """Print learning curves."""
+    options = parse(CurveOptions, args, "curves", "What learning was like, iteration by iteration.")
+    with options.open() as opened:
+        points = opened.points(options.player)
+    rows = curve_rows(
+        sorted(points, key=lambda p: (p.iteration, p.player))
+    )  # of several players, the newest row of each
+    known = {key for row in rows for key in row}
+    if options.format == "table":
+        rows, known = [{**row, "void": _void(row)} for row in rows], {*known, "void"}
+    shown = [
+        c for c in CURVES if not known or (c if isinstance(c, str) else c.key) in known
+    ]  # no player has learnt yet
+    print(_newest(rows, shown, options, args, "curves", len(rows)))
+    return 0
+
+
+def _void(row: Row) -> float | None:
+    """Return the percentage of an iteration's episodes that were void; None if no episode ended."""
+    void, ended = row.get("voids") or 0.0, row.get("episodes") or 0.0
+    return 100 * void / (void + ended) if void + ended else None
+
+
+def _asked(options: LogOptions, total: int) -> int:
+    """Return the number of newest rows to print, of `total` rows."""
+    last = options.last if options.last is not None else NEWEST if options.format == "table" else total
+    return total if options.all else min(last, total)
+
+
+def _newest(
+    rows: list[Row], columns: Sequence[Column | str], options: LogOptions, args: Sequence[str], command: str, total: int
+) -> str:
+    """Return the newest of `total` rows as text; below a table, a hint how to see the others.
+
+    `rows` has at least those that are printed.
+    """
+    format: Format = options.format
+    last = _asked(options, total)
+    shown = rows[len(rows) - min(last, len(rows)) :]
+    text = render(shown, columns if format == "table" else (), format)
+    if format != "table" or last == total:
+        return text
+    given = [without_passwords(word) for word in _without(args, "--last")]
+    more = f"league {command} {shlex.join([*given, '--last', str(4 * last)])}"
+    return f"{text}\n\n" + wrapped(f"The newest {len(shown):,} of {total:,}; `{more}` shows more, --all everything.")
+
+
+def _without(args: Sequence[str], flag: str) -> list[str]:
+    """Return the arguments without a flag and its value."""
+    kept = list(args)
+    for i, arg in enumerate(args):
+        if arg == flag:
+            return kept[:i] + kept[i + 2 :]
+        if arg.startswith(f"{flag}="):
+            return kept[:i] + kept[i + 1 :]
+    return kept

@@ -1,0 +1,227 @@
+"""The run of a prepared league, or of a curriculum stage by stage, at the terminal or in the background.
+
+In the background, a process of its own runs this module.
+"""
+
+import json
+import os
+import socket
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from league.commands.run.summary import NEXT, summary
+from league.commands.status_line import Ticker
+from league.config import experiment as configuration
+from league.config.experiment import Config
+from league.config.run_spec import RunSpec
+from league.runtime.manager import Manager, ManagerError, RunState
+from league.runtime.preflight import Prepared, preparation
+from league.runtime.warm_worker import WarmWorker
+from league.scheduling import curriculum
+from league.scheduling.stage_completion import handed_on
+from league.snapshots import warm_start
+from league.state.jobs import TrainingTurn
+from league.state.league_state import LeagueState
+from league.system.memory import SHORT
+from league.system.provenance import code
+from league.system.versions import versions
+from storage.database.lock_wait import RetryReporter
+from storage.errors import Unavailable
+from storage.store import Store
+
+AWAY = 5.0  # seconds between two attempts to begin a stage while the store is away
+
+
+@dataclass(frozen=True)
+class BackgroundRun:
+    """A prepared league, as the process that runs it in the background receives it."""
+
+    spec: RunSpec
+    prepared: Prepared
+
+
+def manage(
+    spec: RunSpec, config: Config, prepared: Prepared, on_lead: Callable[[], None] = lambda: None,
+    warm_worker: WarmWorker | None = None,
+) -> int:  # fmt: skip
+    """Run the league to the end of its budget or until it is stopped; `on_lead` is called when it has begun.
+
+    `config` is the configuration that `spec` has as text. A warm worker is the process that has prepared the league. A
+    curriculum is prepared here, stage by stage. Returns the exit code.
+
+    Raises ManagerError if another process leads the league, or a turn of training was set aside.
+    """
+    with Store.open(spec.store, blobs=spec.blobs) as store:
+        if config.stages:
+            _run_stages(store, spec, config, on_lead)
+        elif _run_league(store, spec, config, prepared, on_lead, warm_worker) != "stopped":
+            print(f"\n{summary(config, curriculum.stage_state(store, config))}")
+            _refuse_set_aside(store, config)
+    return 0
+
+
+def _refuse_set_aside(store: Store, config: Config) -> None:
+    """Raise ManagerError, one line, if a turn of training was set aside: its players have not learnt further.
+
+    If memory was short, the message says what would fit.
+    """
+    for job in store.jobs(config.league, "failed"):
+        if job.kind == TrainingTurn.kind:
+            why = (job.error or "no reason was given").strip().splitlines()[0]
+            if why.startswith(SHORT):
+                raise ManagerError(why)
+            raise ManagerError(
+                f"a turn of training was set aside, and who was to learn in it learnt no further: {why}"
+                " (`league status` tells more; the same command tries it again)"
+            )
+
+
+def _run_league(
+    store: Store,
+    spec: RunSpec,
+    config: Config,
+    prepared: Prepared,
+    on_lead: Callable[[], None],
+    warm_worker: WarmWorker | None,
+) -> RunState:
+    """Manage one league, and print how far it is when it was stopped."""
+    # The schedulers count steps by the number of worlds. The store keeps the sizes open, for a machine with another
+    # device.
+    episodes, pairings = prepared.rating
+    sized = replace(spec, worlds=prepared.worlds, rating_worlds=episodes, rating_pairings=pairings)
+    reporter = _Reporter(store, config, spec.config_toml, prepared, on_lead)
+    state = Manager(store, sized, config, warm_worker).run(reporter)
+    if state == "stopped":
+        at = curriculum.stage_state(store, config).newest
+        where = f" at iteration {at.iteration}, {at.step:,} steps" if at else ""
+        print(f"\nStopped{where}. Nothing is lost: the same command goes on.\n\n{NEXT}")
+    return state
+
+
+def _run_stages(store: Store, spec: RunSpec, config: Config, on_lead: Callable[[], None]) -> None:
+    """Run the stages one after the other, from the one that is under way, until the last has ended or one was stopped.
+
+    Once a stage has begun, waits for a store that is away. Before that raises Unavailable. Raises ManagerError if a
+    stage makes no more progress before its end.
+    """
+    store.set_config(config.league, spec.config_toml)
+    number, has_led, patience = curriculum.reached(store, config), False, RetryReporter()
+
+    def on_first_lead() -> None:
+        nonlocal has_led
+        if not has_led:
+            has_led = True
+            on_lead()
+
+    while number < len(config.stages):
+        try:
+            if not _run_stage(store, spec.store, config, number, on_first_lead):
+                return
+        except Unavailable as error:  # a stage has no state outside the store, so the next try continues from there
+            if not has_led:
+                raise
+            patience.report(error)
+            time.sleep(AWAY)
+        else:
+            number += 1
+
+
+def _run_stage(store: Store, where: str, config: Config, number: int, on_lead: Callable[[], None]) -> bool:
+    """Run a stage, unless it has ended already; return False if it was stopped. Raises ManagerError."""
+    stage = configuration.stage(config, number)
+    league_state = curriculum.stage_state(store, stage)
+    is_last = number == len(config.stages) - 1
+    if is_last or curriculum.ended(stage, league_state) is None:
+        spec = RunSpec.of(where, stage)
+        with preparation(spec, stage, create=False) as (prepared, warm_worker):
+            ends = f"it ends {curriculum.until(stage)}"
+            print(f"Stage {number + 1} of {len(config.stages)}, {config.stages[number].name}: {ends}.", flush=True)
+            if _run_league(store, spec, stage, prepared, on_lead, warm_worker) == "stopped":
+                return False
+        league_state = curriculum.stage_state(store, stage)
+    why = curriculum.ended(stage, league_state)
+    _refuse_set_aside(store, stage)
+    if why is None and not is_last:
+        raise ManagerError(
+            f"stage {config.stages[number].name} stands still before its end, and the next one does not begin:"
+            f" `league status --league {stage.league}` tells why"
+        )
+    if is_last:
+        print(f"\n{summary(stage, league_state)}")
+    else:
+        print(f"Stage {config.stages[number].name} has ended: {why}.{_handed_on(stage, league_state)}\n")
+    return True
+
+
+def _handed_on(config: Config, league_state: LeagueState) -> str:
+    """Return a sentence that names the snapshots that players pass on instead of their newest states, if any."""
+    found = [handed_on(league_state, player.name, config.rating.episodes_per_pair) for player in league_state.players]
+    older = [each.describe(league_state) for each in found if each is not None]
+    return f" Handed on instead of the newest: {'; '.join(older)}." if older else ""
+
+
+def _warm_starts(store: Store, config: Config) -> list[str]:
+    """Return a line for each player of a new league that starts from an earlier policy."""
+    if not config.after or store.newest_checkpoints(config.league):
+        return []
+    found = warm_start.of(store, store.players(config.league), config.after, config.learner.critic_input)
+    return warm_start.describe(found, store)
+
+
+class _Reporter:
+    """Printer of the league's state. At its first call the manager leads, and the printer records the run."""
+
+    def __init__(self, store: Store, config: Config, config_toml: str, prepared: Prepared, on_lead: Callable[[], None]):
+        self.store, self.config, self.prepared, self.on_lead = store, config, prepared, on_lead
+        self.config_toml = config_toml
+        self.ticker = Ticker(config)
+        self.has_begun = False
+
+    def __call__(self, *how: Any) -> None:
+        if not self.has_begun:
+            self.has_begun = True
+            self.store.set_config(self.config.league, self.config_toml)
+            self.store.start_run(self.config.league, self.config_toml, socket.gethostname(), {**versions(), **code()})
+            starts = [f"  {line}" for line in _warm_starts(self.store, self.config)]
+            print("\n".join([_greeting(self.config, self.prepared, self.store.where), *starts]), flush=True)
+            self.on_lead()
+        self.ticker(*how)
+
+
+def _greeting(config: Config, prepared: Prepared, where: str) -> str:
+    rated, pairings = prepared.rating
+    sized = f"{_count(prepared.worlds, config.training.worlds)} worlds"
+    if config.workers.match:
+        batch = f"{_count(rated, config.rating.worlds)} episodes of {_count(pairings, config.rating.pairings)} pairings"
+        sized += f", rating batches of {batch}"
+    return (
+        f"League {config.league}: {' against '.join(prepared.sides)} in {prepared.arena}, engine {prepared.engine},"
+        f" {sized}; stored in {where}. Ctrl-C stops it, the same command goes on."
+    )
+
+
+def _count(used: int, given: int | None) -> str:
+    """Return a number of this run as text, marked if device and arena rather than a setting determined it."""
+    return f"{used:,}" if given is not None else f"{used:,} (by device)"
+
+
+def main() -> int:
+    """Read a BackgroundRun from stdin and run it; write to the pipe named on the command line when it leads."""
+    run = json.load(sys.stdin)
+    spec = RunSpec(**run["spec"])
+    prepared = Prepared(**{**run["prepared"], "sides": tuple(run["prepared"]["sides"])})
+
+    def on_lead() -> None:
+        with os.fdopen(int(sys.argv[1]), "w") as pipe:
+            pipe.write("leads")
+
+    return manage(spec, spec.config(), prepared, on_lead)
+
+
+if __name__ == "__main__":
+    from league.commands.cli import guarded
+
+    sys.exit(guarded(main))

@@ -1,0 +1,1 @@
+"""Commands that move, check and thin what a store holds."""

@@ -1,0 +1,1 @@
+"""Matches: evaluation of pairs of snapshots, recordings of episodes, ad-hoc matches."""

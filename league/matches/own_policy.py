@@ -1,0 +1,95 @@
+"""Policies of your own in Python: `league.Policy` plays against a league's snapshots, or becomes one of them."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+from agents.policy.host_policy import HostPolicy
+from league.config.schema import ConfigError
+from league.matches.adhoc_matches import Pairing
+from league.snapshots.programs import callables, importing, stored
+from league.snapshots.programs.kinds import kind_of
+from league.state.jobs import RatingMatch
+from matchmaking.ratings.payoff import Score, score_interval
+from storage.records import Snapshot
+
+if TYPE_CHECKING:
+    from league.queries.query import Open
+
+
+class Policy:
+    """A policy of one kind for each agent of a team, or one for all of them. It has not been tried yet."""
+
+    def __init__(self, kind: str | None, sources: Sequence[Any], named: str):
+        """Use one of the functions `from_...` instead. `kind` is None for callables of this process."""
+        self._kind, self._sources, self._name = kind, sources, named
+
+    @classmethod
+    def from_callable(cls, *policies: Callable[..., Any]) -> Self:
+        """Return the policy of callables of this process, see `league.snapshots.programs.callables`."""
+        return cls(None, policies, getattr(policies[0], "__name__", type(policies[0]).__name__))
+
+    @classmethod
+    def from_onnx(cls, *paths: str) -> Self:
+        """Return the policy in ONNX files."""
+        return cls("onnx", paths, str(paths[0]))
+
+    @classmethod
+    def from_torchscript(cls, *paths: str) -> Self:
+        """Return the policy in TorchScript files."""
+        return cls("torchscript", paths, str(paths[0]))
+
+    @classmethod
+    def from_file(cls, *named: str) -> Self:
+        """Return the policy that words of `league import` name: x.onnx, x.pt or x.py:function. Raises ConfigError."""
+        kind = kind_of(named[0])
+        if kind is None:
+            raise ConfigError((), f"{named[0]} is no name of a program: give x.onnx, x.pt or x.py:function")
+        return cls(kind, named, named[0])
+
+    def add_to(self, league: "Open", name: str, team: str | None = None) -> Snapshot:
+        """Add the policy to a league as a fixed player, as `league import` does.
+
+        Raises StorageError or ConfigError, one line, also for a callable of this process: other processes have no way
+        to it. Put it in a file, and name it by `from_file`.
+        """
+        if self._kind is None:
+            raise ConfigError(
+                (), f"{self._name} is a callable of this process, which a store cannot hold: put it in a file, and"
+                " take Policy.from_file('file.py:name')",
+            )  # fmt: skip
+        program, roster = importing.read(league, self._kind, ",".join(map(str, self._sources)), team)
+        return importing.bring_in(league, program, roster, name)
+
+    def play(self, league: "Open", opponent: str | None = None, episodes: int = 128, team: str | None = None) -> Score:
+        """Play an even number of episodes against a snapshot of a league, and return the score; the store keeps none.
+
+        Sides are swapped if rosters allow. In an arena of one team there is no opponent. Raises StorageError or
+        ConfigError, one line, if the policy does not fit the team or cannot meet the opponent.
+        """
+        roster = importing.roster_of(league, team)
+        own = Snapshot(league.league, self._name, f"policy {id(self)}", roster, origin="imported")
+        found = Pairing(league, own, None if opponent is None else league.snapshot(opponent))
+        evaluator = found.evaluator(2 * -(-episodes // 2))
+        evaluator.hold(own, [*self._policies(roster)])
+        seats, task = (
+            evaluator.side_orders(own, found.b),
+            RatingMatch((found.pair,), found.seed("policy"), record=False),
+        )
+        games = evaluator.games(league.store, seats, task.seed)
+        match = evaluator.pair_match(games, 0, own, found.b, seats, task, None)
+        counts = match.wins, match.draws, match.losses
+        number, (low, high) = sum(counts), score_interval(*counts)
+        score = (match.wins + match.draws / 2) / number if number else float("nan")
+        return Score(score, float(low), float(high), number, match.voids)
+
+    def _policies(self, roster: str) -> list[HostPolicy]:
+        if self._kind is not None:
+            return stored.host_policies(stored.read(self._kind, self._sources, roster).to_bytes(), self._name)
+        agents = stored.sizes(roster)
+        if len(self._sources) not in (1, len(agents)):
+            raise ConfigError((), f"{len(self._sources)} callables for {len(agents)} agents: give one, or one for each")
+        policies = []
+        for i, agent in enumerate(agents):
+            make, _ = callables.maker(self._sources[i % len(self._sources)], agent, self._name)
+            policies.append(HostPolicy(make, agent.action, stored.reporter(self._name, i)))
+        return policies

@@ -1,0 +1,31 @@
+"""Columns of the tables of matches, snapshots, learning curves, players and workers, for commands and the page."""
+
+from dashboards.tables import Column
+
+NEWEST = 30
+"""Default number of rows printed of a long table."""
+RECORDED = Column("recorded", "rec.")
+MATCHES = (
+    "match", Column("a", no_wrap=True), Column("b", no_wrap=True), Column("result", "w-d-l", no_wrap=True), "voids",
+    Column("score", decimals=3), RECORDED,
+)  # fmt: skip
+PURPOSE = Column("purpose", "for", no_wrap=True)  # shown if not all matches are the league's own rating matches
+SNAPSHOTS = (
+    Column("name", no_wrap=True), "iteration", "steps", Column("seconds", "trained s", 1), "origin",
+    Column("digest", "digest"),
+)  # fmt: skip
+CURVES = (
+    Column("player", no_wrap=True), Column("iteration", "it."), "steps", Column("score", decimals=2),
+    Column("reward", decimals=4), Column("length", decimals=0), Column("entropy", decimals=2),
+    Column("explained_variance", "expl.", 2), Column("void", "void %", 1), Column("steps_per_second", "steps/s", 0),
+    Column("seconds", "trained s", 0),
+)  # fmt: skip
+"""The most important recorded metrics of learning; JSON and CSV have all."""
+PLAYERS = (
+    Column("player", no_wrap=True), "team", "role", "iteration", "steps", Column("now", no_wrap=True),
+    Column("trained", no_wrap=True), "group",
+)  # fmt: skip
+WORKERS = (
+    "worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("job", no_wrap=True),
+    Column("lease s", decimals=0), Column("seen s ago", decimals=1),
+)  # fmt: skip

@@ -1,0 +1,1 @@
+"""Ratings tables, payoff tables and their notes."""

@@ -1,0 +1,1 @@
+"""Processes of a running league: preflight, manager, workers."""

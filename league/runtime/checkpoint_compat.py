@@ -1,0 +1,66 @@
+"""Checks that the networks of a configuration can continue from existing ones, done by loading them.
+
+Torch is imported within the functions, which takes a second or two. A league that is new, or that is run with the same
+settings as before, needs no check.
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from league.config import experiment as configuration
+from league.config.experiment import Config
+from league.config.schema import ConfigError
+from league.snapshots import warm_start
+from storage.blobs import arrays
+from storage.errors import StorageError
+from storage.records import Player
+from storage.store import Store
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena
+
+
+def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:
+    """Raise ConfigError if a player's networks cannot be loaded with these settings.
+
+    Does nothing if learner, players and arena are as in the last run.
+    """
+    try:
+        before = configuration.loads(store.league(config.league).config)
+    except ConfigError:
+        before = None  # written by another version of this program
+    if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
+        return
+    from league.training.learner_factory import new_learner
+
+    on_cpu = _on_cpu(config)
+    kept = store.newest_checkpoints(config.league)
+    for player in players:
+        if player.name not in kept:
+            continue
+        state = arrays.from_bytes(store.blobs.get(kept[player.name].digest))
+        try:
+            new_learner(on_cpu, arena, player).load(state)
+        except ValueError as error:
+            raise ConfigError(
+                ("league",),
+                f"league {config.league!r} cannot go on with these settings of its learner: {player.name}: {error}; go"
+                " on with the settings that it had, or choose another league name",
+            ) from None
+
+
+def validate_start(store: Store | None, config: Config, arena: "Arena", players: list[Player]) -> None:
+    """Raise ConfigError if a player cannot start from the networks that `after` names. Each network is tried."""
+    from league.training.learner_factory import new_learner
+
+    found = warm_start.of(store, players, config.after, config.learner.critic_input)
+    for player in players:
+        try:
+            warm_start.start(store, new_learner(_on_cpu(config), arena, player), found[player.name])
+        except StorageError as error:
+            raise ConfigError(("after",), f"after: {player.name} of league {config.league!r} {error}") from None
+
+
+def _on_cpu(config: Config) -> Config:
+    """Return the settings for learners that only serve a check."""
+    return replace(config, training=replace(config.training, device="cpu"))

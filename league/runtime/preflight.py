@@ -1,0 +1,183 @@
+"""The checks before a league runs that need jax, torch or mujoco, and the rows with which a league begins.
+
+`prepare` starts a process for them, so that the manager never loads these libraries. The process builds the arena and
+validates the configuration against the arena and this machine. Only then does it write the league, its players and the
+scripted opponents, all of which may be there already. A configuration that it refuses leaves nothing behind. Then the
+process ends, or becomes a train worker (`league/runtime/warm_worker.py`).
+"""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from arenas.description import describe_team
+from league.config import experiment as configuration
+from league.config.experiment import Config
+from league.config.run_spec import RunSpec
+from league.config.schema import ConfigError
+from league.runtime.bootstrap import create, players_of, validate_first_start, validate_stage_starts, validate_victims
+from league.runtime.validation import validate
+from league.runtime.warm_worker import WarmWorker, await_assignment, can_become_worker
+from league.state.team_exchange import players_in
+from league.system.arena_build import Built, rating_batch, worlds
+from league.system.batch_sizes import RATING
+from storage.errors import NotAStore, Unavailable
+from storage.records import League
+from storage.store import Store
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Facts about a prepared league for the manager and the greeting."""
+
+    arena: str
+    engine: str
+    worlds: int  # simulated at once in training
+    sides: tuple[str, ...]  # each team as text, e.g. blue (2 × leatherback)
+    rating: tuple[int, int] = RATING["cpu"]  # worlds and pairings of a batch of rating matches
+
+
+class PrepareError(Exception):
+    """An error of the process that prepares a league: it died, by a fault that no setting explains.
+
+    `transient`: it was killed, which may not happen the next time.
+    """
+
+    def __init__(self, message: str, transient: bool = False):
+        super().__init__(message)
+        self.transient = transient
+
+
+# In the manager's process --------------------------------------------------------------------------------------------
+
+
+def prepare(spec: RunSpec, config: Config, debug: bool = False, imported: Sequence[str] = ()) -> Prepared:
+    """Validate a configuration and write the rows with which a league begins, in a process of its own.
+
+    `config` is the configuration that `spec` has as text. `imported` names snapshots that are imported into the league
+    afterwards. Raises ConfigError, one line, for a configuration that cannot be run; Unavailable if the store is away;
+    PrepareError if the process died. Ctrl-C ends both processes at once: nothing is lost, since nothing has been done.
+    """
+    with preparation(spec, config, debug, imported, keep=False) as (prepared, _):
+        return prepared
+
+
+@contextmanager
+def preparation(
+    spec: RunSpec, config: Config, debug: bool = False, imported: Sequence[str] = (), keep: bool = True,
+    create: bool = True,
+) -> Iterator[tuple[Prepared, WarmWorker | None]]:  # fmt: skip
+    """Prepare as `prepare` does, and keep the process if it can become the first train worker.
+
+    The process ends with the context; without `keep` it has ended when the context begins. Without `create` a store
+    that does not exist counts as away: a stage that begins on a disk that was unmounted meanwhile makes no new store
+    below the mount point.
+    """
+    keep = keep and can_become_worker(config)
+    request = {
+        "spec": asdict(spec), "parent": os.getpid(), "imported": list(imported), "keep": keep, "create": create,
+    }  # fmt: skip
+    with ExitStack() as until_the_end:
+        with _killed_by_signals() as children:
+            process = WarmWorker("league.runtime.preflight", debug)
+            children.append(process)
+            until_the_end.callback(process.end)
+            answer = process.ask(request)
+        if "refused" in answer:
+            raise ConfigError(tuple(answer["key"]), answer["refused"])
+        if "away" in answer:
+            raise Unavailable(answer["away"])
+        if "prepared" not in answer:
+            code, last = process.exitcode, process.last_line()
+            killed = code is not None and code < 0
+            raise PrepareError(f"preparing the league failed (exit code {code}): {last}", transient=killed)
+        if not keep:
+            process.end()
+        found = answer["prepared"]
+        yield Prepared(**{**found, "sides": tuple(found["sides"])}), process if keep else None
+
+
+@contextmanager
+def _killed_by_signals() -> Iterator[list[WarmWorker]]:
+    """Have Ctrl-C and SIGTERM end the processes in the list, and this process, within the context.
+
+    An exception is not enough: Python drops one that a signal raises while a module is being imported.
+    """
+    children: list[WarmWorker] = []
+
+    def leave(number: int, frame: object) -> None:
+        for process in children:
+            process.kill()
+        os.write(2, b"\nleague: stopped before it began; nothing was lost.\n")
+        os._exit(128 + number)
+
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    before = {s: handler for s, handler in before.items() if handler not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, leave)
+    try:
+        yield children
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# In the process that prepares ----------------------------------------------------------------------------------------
+
+
+def _prepare(request: Mapping[str, Any]) -> tuple[Prepared, Built]:
+    """Do the work of `prepare`, and return also the arena that was built; of several stages, the first one's."""
+    spec = RunSpec(**request["spec"])
+    config = spec.config()
+    stages = [configuration.stage(config, number) for number in range(len(config.stages))]
+    arenas = [validate(each, players_in(spec.store, spec.blobs, each.league)) for each in stages or [config]]
+    if os.getppid() != request["parent"]:
+        raise PrepareError("the process that asked has gone; nothing was written")
+    validate_stage_starts(spec.store, config, list(map(players_of, stages or [config], arenas)))
+    first = (stages or [config])[0]
+    if first.after:
+        validate_first_start(spec.store, first, arenas[0])
+    validate_victims(spec.store, first, arenas[0], request["imported"])
+    with Store.open(spec.store, create=request["create"], blobs=spec.blobs) as store:
+        if stages:  # each stage's league is made when the stage begins
+            store.create_league(League(config.league, spec.config_toml))
+        else:
+            create(store, config, arenas[0], spec.config_toml)
+    arena = arenas[0]
+    sides = tuple(f"{t.name} ({describe_team(a.kind for a in t.agents)})" for t in arena.teams)
+    count, batch = worlds(config), rating_batch(config)
+    prepared = Prepared(arena.name, arena.engine.name, count, sides, batch)
+    return prepared, Built(arena, first, worlds(first))
+
+
+def main() -> None:
+    """Read a request from stdin and answer it on stdout, in the process that `prepare` starts."""
+    from league.system import devices, environment
+    from storage.errors import StorageError
+
+    environment.prepare()
+    request, built = json.loads(sys.stdin.readline()), None
+    if request["keep"]:
+        devices.take(0)  # as the later worker does, before the import of a library that would take other GPUs
+    with os.fdopen(os.dup(1), "w") as answer:
+        os.dup2(2, 1)  # libraries print greetings on stdout
+        try:
+            prepared, built = _prepare(request)
+            message: dict[str, Any] = {"prepared": asdict(prepared)}
+        except ConfigError as error:
+            message = {"refused": error.message, "key": error.key}
+        except StorageError as error:
+            gone = isinstance(error, NotAStore) and not request["create"]
+            message = {"away": str(error)} if error.transient or gone else {"refused": str(error), "key": ()}
+        answer.write(json.dumps(message) + "\n")
+    if request["keep"] and built is not None:
+        await_assignment(request, built)
+
+
+if __name__ == "__main__":
+    main()

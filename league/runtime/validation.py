@@ -1,0 +1,234 @@
+"""The checks of a configuration against its arena and this machine, made before a league is created.
+
+Heavy imports are local, because fast commands also import this module.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from arenas.contract.error_location import describe_error, source_files
+from league.config.experiment import Config
+from league.config.schema import ConfigError, Key, literal, refuse
+from league.config.sections import PlayerSettings, mains, named_players
+from league.state.team_exchange import as_made
+from league.system import devices, memory
+from league.system.arena_build import build, worlds
+from league.training.reward_shaping import chance_score
+from matchmaking.opponents import Opponents
+from storage.records import Player
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena
+
+
+def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
+    """Build the arena as for training, and check the configuration against it and this machine.
+
+    `players` are those that the league has already. Raises ConfigError, one line that names the setting.
+    """
+    arena = as_made(_built(config), players)
+    teams = [team.name for team in arena.teams]
+    if config.training.schedule.learner >= len(teams):
+        numbers = ", ".join(f"{i} ({name})" for i, name in enumerate(teams))
+        key = ("training", "schedule", "learner")
+        raise refuse(key, config.training.schedule.learner, f"the arena's teams are {numbers}")
+    if config.budget.success is not None and len(teams) > 1:
+        message = f"{arena.name} has {len(teams)} teams, and success is for one alone"
+        message += "; use budget.score, budget.reward or budget.steps"
+        raise refuse(("budget", "success"), config.budget.success, message)
+    if config.budget.score is not None and len(teams) == 1:
+        message = f"{arena.name} has one team, which has nobody to score against; use budget.success"
+        raise refuse(("budget", "score"), config.budget.score, message)
+    _validate_critic(config, arena)
+    least, until = chance_score(len(teams)), config.training.shaping_until
+    if until is not None and until <= least:
+        message = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
+        raise refuse(("training", "shaping_until"), until, message)
+    _validate_groups(config, teams)
+    _validate_opponents(config, arena)
+    _validate_players(config, teams)
+    _validate_ladder(config, arena)
+    _validate_pbt(config, teams)
+    _validate_scripts(config, arena)
+    _validate_device(config, arena)
+    _validate_memory(config, arena)
+    return arena
+
+
+def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:
+    """Return the named players of a league: those of the configuration, or a main player for each team."""
+    return named_players(config.players) if config.players else mains(tuple(teams))
+
+
+def _built(config: Config) -> "Arena":
+    from arenas.errors import ArenaError, EngineError
+
+    name = config.arena.name
+    try:
+        arena = build(config, worlds(config))
+        if ":" in name:  # a user's own arena: find its mistakes now rather than in each worker
+            _trace(arena)
+    except EngineError as error:
+        raise ConfigError(("engine",), str(error)) from None
+    except ArenaError as error:
+        raise ConfigError(("arena",), str(error)) from None
+    except (Exception, SystemExit) as error:
+        message = f"arena {name}: {describe_error(error, source_files(name))}; `league check {name}` examines it"
+        raise ConfigError(("arena",), message) from error
+    return arena
+
+
+def _trace(arena: "Arena") -> None:
+    """Run reset and step on shapes alone, which is cheap and finds most mistakes in an arena's code."""
+    import jax
+
+    state = jax.eval_shape(arena.reset, jax.random.key(0))
+    actions = {agent.name: jax.ShapeDtypeStruct((agent.action_size,), "float32") for agent in arena.agents}
+    jax.eval_shape(arena.step, state, actions)
+
+
+def _validate_critic(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError if the arena lacks observations that the critic needs."""
+    sees, message = config.learner.critic_input, ""
+    if sees in ("all", "same") and len(arena.teams) == 1:
+        message = f"{arena.name} has one team, and there are no others to see; use own"
+    if sees == "privileged" and not arena.privileged_size:
+        message = f"{arena.name} has no bodies, and offers no state beside what is observed; use own or all"
+    if message:
+        raise refuse(("learner", "critic_input"), sees, message)
+
+
+def _validate_groups(config: Config, teams: list[str]) -> None:
+    """Raise ConfigError if a turn has more groups than worlds.
+
+    A turn has one or more groups with present opponents, and those with each learner's past opponents.
+    """
+    together: dict[str, list[Opponents]] = {}
+    for player in roster(config, teams):
+        if config.role(player.role).learns:
+            together.setdefault(player.group, []).append(config.opponents(player))
+    for rules in together.values():
+        most = rules if config.training.schedule.kind == "simultaneous" else rules[:1]
+        past, present = sum(rule.split().past for rule in most), max(rule.split().present for rule in most)
+        groups, count = present + past, worlds(config)
+        if past and len(teams) > 1 and groups > count:
+            message = (
+                f"{len(most)} who learn meet past opponents in {past} groups, beside {present} of present ones: with"
+                f" {count} worlds there can be no {groups} groups; use more training.worlds, or fewer groups"
+            )
+            raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, message)
+
+
+def rules(config: Config, teams: list[str]) -> list[tuple[Key, Opponents]]:
+    """Return the rules of opponent sampling that the league's players use, each with its key in the settings."""
+    used = {p.role for p in roster(config, teams)}
+    own = [(("roles", str(i), "opponents"), role.opponents) for i, role in enumerate(config.roles) if role.name in used]
+    return [(("training", "opponents"), config.training.opponents), *((key, rule) for key, rule in own if rule)]
+
+
+def _validate_opponents(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for alpha-rank if snapshots of the other team cannot play each other, which it requires."""
+    rosters = list(dict.fromkeys(team.roster for team in arena.teams))
+    for key, rule in rules(config, [team.name for team in arena.teams]):
+        if rule.kind == "alpharank" and len(rosters) > 1:
+            message = f"the teams of {arena.name} are unlike ({', '.join(rosters)}), and no population; use nash"
+            raise refuse((*key, "kind"), "alpharank", message)
+
+
+def _validate_players(config: Config, teams: list[str]) -> None:
+    """Raise ConfigError for a player of an unknown team, and for a team without players."""
+    for i, player in enumerate(config.players):
+        if player.team not in teams:
+            raise refuse(("players", str(i), "team"), player.team, f"the arena's teams are {', '.join(teams)}")
+    idle = [team for team in teams if team not in {p.team for p in roster(config, teams)}]
+    if idle:
+        raise ConfigError(("players",), f"players: nobody plays team {idle[0]}; add a [[players]] table for it")
+
+
+def _validate_ladder(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for a ladder between teams that differ in robots, in their order, or in networks."""
+    if config.training.schedule.kind != "ladder":
+        return
+    learner, widths = arena.teams[config.training.schedule.learner], config.learner.architecture.hidden
+    for team in arena.teams:
+        if team.roster != learner.roster:
+            message = (
+                f"what {learner.name} ({learner.roster}) learns cannot be copied to {team.name} ({team.roster}): ladder"
+                " needs equal rosters; use simultaneous, leapfrog or frozen"
+            )
+            raise refuse(("training", "schedule", "kind"), "ladder", message)
+    players = roster(config, [team.name for team in arena.teams])
+    copied = {p.group: p.hidden or widths for p in players if p.team == learner.name}
+    for i, player in enumerate(players):
+        own = player.hidden or widths
+        if own != (wanted := copied.get(player.group, own)):
+            message = (
+                f"ladder copies its group's {learner.name} here, whose widths are {literal(wanted)}; give both the same"
+            )
+            raise refuse(("players", str(i), "hidden"), own, message)
+
+
+def _validate_pbt(config: Config, teams: list[str]) -> None:
+    """Raise ConfigError for population based training without two players of one team, role and network."""
+    if config.training.pbt.ready is None:
+        return
+    groups: dict[tuple[str, str], list[PlayerSettings]] = {}
+    for player in roster(config, teams):
+        groups.setdefault((player.team, player.role), []).append(player)
+    if all(len(each) < 2 for each in groups.values()):
+        message = "no team has two players of one role, so nobody can copy anybody; add [[players]], or leave it out"
+        raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, message)
+    for (team, role), each in groups.items():
+        widths = dict.fromkeys(player.hidden or config.learner.architecture.hidden for player in each)
+        if len(widths) > 1:
+            message = f"the {role} players of {team} have networks of {' and '.join(map(literal, widths))}: who copies"
+            message += " another needs its network, so give them the same"
+            raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, message)
+
+
+def scripts(config: Config, arena: "Arena") -> tuple[str, ...]:
+    """Return the scripted opponents of the league's pool: by default all that a whole team of the arena can play."""
+    if config.rating.scripts is not None:
+        return config.rating.scripts
+    return tuple(dict.fromkeys(name for team in arena.teams for name in arena.playable_scripts(team)))
+
+
+def _validate_scripts(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for a script that the arena lacks, and for a player with the name of a script."""
+    known = {name for team in arena.teams for name in arena.playable_scripts(team)}
+    for name in config.rating.scripts or ():
+        if name not in known:
+            listed = ", ".join(sorted(known)) or "none"
+            raise ConfigError(("rating", "scripts"), f"rating.scripts: {arena.name} has no script {name!r} ({listed})")
+    for player in roster(config, [team.name for team in arena.teams]):
+        if player.name in known:
+            raise ConfigError(("players",), f"players: {player.name} is the name of a scripted opponent; use another")
+
+
+def _validate_device(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError if this machine lacks the devices or the compiler, or the engine is not deterministic."""
+    if config.training.device == "cuda" and not devices.torch_has_cuda():
+        raise refuse(("training", "device"), "cuda", "torch sees no CUDA device here; use auto or cpu")
+    if 0 < (gpus := len(devices.gpus())) < config.training.devices:
+        message = (
+            f"the GPUs that may be used here are {gpus}, and no two processes of a turn share one; use {gpus} or less"
+        )
+        raise refuse(("training", "devices"), config.training.devices, message)
+    if config.learner.compiled and (lacking := devices.lacks_to_compile()):
+        raise refuse(("learner", "compiled"), True, f"torch.compile needs {lacking}, and none is here; use false")
+    if config.deterministic and arena.engine.name == "warp":
+        raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
+
+
+def _validate_memory(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for a batch of experience that cannot fit, before the operating system kills a process."""
+    import jax
+
+    at_once = 1 if jax.default_backend() == "gpu" else len(arena.teams)
+    total, needed = memory.machine(), memory.learning(config, arena, worlds(config), at_once)
+    if needed > memory.SHARE * total:
+        raise ConfigError(
+            ("training", "worlds"),
+            f"training.worlds × training.rollout_length = {worlds(config)} × {config.training.rollout_length}: such a"
+            f" batch needs about {needed / 1e9:.0f} GB, and this machine has {total / 1e9:.0f} GB",
+        )

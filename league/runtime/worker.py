@@ -1,0 +1,244 @@
+"""The lease loop of a worker: claim a job, do it, finish it. A worker that is killed at any moment loses only work.
+
+Two things can go wrong. The store may be away for a while, and the worker waits. Or a job cannot be done here: the
+worker reports that to the store, which has the job tried again and in the end sets it aside. `worker_process` starts
+the process, `heartbeat` is its other thread, and `rating_jobs` plays matches.
+"""
+
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from league.config.experiment import Config
+from league.config.run_spec import RunSpec
+from league.runtime.heartbeat import BEAT, Heartbeat, none_on_error
+from league.runtime.rating_jobs import RatingJobs
+from league.runtime.worker_health import WorkerHealth
+from league.scheduling.turn_scheduler import next_turns
+from league.state.jobs import RatingMatch, Task, TrainingTurn, decode
+from league.state.league_state import LeagueState
+from league.system.memory import TooLarge, is_short
+from storage.database import lock_wait
+from storage.errors import LeaseLost, StorageError, Unavailable, WrongBlobStore
+from storage.records import Job, Lease
+from storage.store import Store
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena
+    from league.system.arena_build import Built
+    from league.system.gpu_sharing import Pace
+    from league.training.data_parallel import DataParallelTrainer
+    from league.training.trainer import Trainer
+
+IDLE = 0.1  # seconds between two attempts to claim a job
+AWAY = 1.0  # seconds between two attempts to reach a store that is away
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class WorkerSpec:
+    """The values that the process of a worker receives."""
+
+    run: RunSpec
+    kinds: tuple[str, ...]  # of jobs that it takes
+    number: int  # among the workers of these kinds
+    parent: int | None  # process id of its manager: the worker ends when that process is gone
+    devices: int = 1  # that its jobs use; several devices are used by processes of their own
+    leader: str = ""  # without a parent: the league's manager; the worker ends when the league has another one
+
+
+class Worker:
+    """The loop of one process over leases. Arena, learners and compiled matches stay in memory between jobs.
+
+    `status`, `lease` and `pace` are read by the heartbeat, which sets `stopping` and `lease_lost`. `unfit` is the
+    reason for which this worker cannot do jobs that others can do, as far as it is known.
+    """
+
+    def __init__(
+        self, store: Store, config: Config, spec: WorkerSpec, stopping: threading.Event, built: "Built | None" = None
+    ):
+        self.store, self.config, self.spec, self.stopping, self.built = store, config, spec, stopping, built
+        self.host, self.pid = socket.gethostname(), os.getpid()
+        self.id = f"{self.host}:{self.pid}:{'+'.join(spec.kinds)}{spec.number}"
+        self.status: dict[str, Any] = {"doing": "starting"}
+        self.lease: Lease | None = None
+        self.lease_lost = False
+        self.unfit: str | None = None
+        self.pace: Pace | None = None
+        self._health = WorkerHealth(store, config.league, self.id, config.workers.max_attempts)
+        self._patience = lock_wait.RetryReporter()
+        self._rating = RatingJobs(self)
+        self._loaded: dict[str, Any] = {}  # the trainer, as soon as it is needed
+        self._league_state: LeagueState | None = None  # at the last look
+        self._handlers: Mapping[type[Task], Callable[[Lease, Any], None]] = {
+            TrainingTurn: self._train,
+            RatingMatch: self._rating.play,
+        }
+
+    def run(self) -> None:
+        """Claim jobs and do them until `stopping` is set."""
+        heartbeat = Heartbeat(self)
+        heartbeat.start()
+        idle_since = time.monotonic()
+        league, seconds = self.config.league, self.config.workers.lease
+        try:
+            while not self.stopping.is_set():
+                claimed = self.retry_while_away(lambda: self.store.claim(league, self.spec.kinds, self.id, seconds))
+                if claimed is not None:
+                    self._run_job(*claimed)
+                    idle_since = time.monotonic()
+                elif not self.stopping.wait(IDLE) and time.monotonic() - idle_since > 2 * BEAT:
+                    self.status = {"doing": "waiting"}
+        finally:
+            self.stopping.set()
+            heartbeat.end()
+            self._drop_trainer()
+            none_on_error(self.store.remove_worker, self.id)
+
+    def _run_job(self, lease: Lease, job: Job) -> None:
+        """Do one job, to its end or to a clear failure. After a lost lease, another worker writes the result."""
+        self.lease, self.lease_lost = lease, False
+        try:
+            task = decode(job)
+            self._handlers[type(task)](lease, task)
+            self._health.job_done()
+        except LeaseLost:
+            self.status = {"doing": "lost its lease"}
+        except Unavailable as error:
+            self._report_away(error)
+            self.retry_while_away(lambda: self.store.release(lease))
+            self.stopping.wait(AWAY)  # the store would be away for the next job as well
+        except WrongBlobStore as error:
+            self.retry_while_away(lambda: self.store.release(lease))
+            self._stop_as_unfit(str(error))
+        except StorageError as error:
+            self._fail(lease, str(error))
+        except TooLarge as error:
+            self._fail(lease, str(error), tries=1)  # it would be too large again
+            self._check_health(str(error), job.kind, surely_here=True)
+        except Exception as error:
+            import traceback
+
+            reason = f"{type(error).__name__}: {error}"
+            self._fail(lease, f"{reason}\n{traceback.format_exc()}")
+            self._check_health(reason, job.kind, surely_here=isinstance(error, ImportError))
+        finally:
+            self.lease = None
+
+    def _fail(self, lease: Lease, reason: str, tries: int | None = None) -> None:
+        self.status = {"doing": f"failed: {reason.partition(chr(10))[0]}"}
+        self.retry_while_away(lambda: self.store.fail(lease, reason, tries=tries or self.config.workers.max_attempts))
+
+    def _check_health(self, reason: str, kind: str, surely_here: bool) -> None:
+        if self._health.job_failed(kind, surely_here):
+            self._stop_as_unfit(reason.partition("\n")[0])
+
+    def _stop_as_unfit(self, reason: str) -> None:
+        self.unfit = reason
+        self.stopping.set()
+
+    def _report_away(self, error: Unavailable) -> None:
+        """Report that the store is away, on stderr and in the status."""
+        self.status = {"doing": f"waiting: {error}"}
+        self._patience.report(error)
+
+    def retry_while_away(self, operation: Callable[[], R]) -> R | None:
+        """Do an operation as soon as the store is there, without a time limit; None if the worker stops before."""
+        while True:
+            try:
+                return operation()
+            except Unavailable as error:
+                self._report_away(error)
+                if self.stopping.wait(AWAY):
+                    return None
+
+    # Training --------------------------------------------------------------------------------------------------------
+
+    def _train(self, lease: Lease, turn: TrainingTurn) -> None:
+        from league.training.trainer import PlayerDiverged, Trainer
+
+        trainer = self._trainer(turn)
+        try:
+            self._run_turn(trainer, turn)
+            if self.lease_lost:
+                raise LeaseLost(f"the lease of group {turn.group}'s turn")
+            if self.config.deterministic and trainer.interrupted:
+                self._drop_trainer()
+                self.store.release(lease)  # a part of a turn would change all that follows
+            else:
+                self.retry_while_away(lambda: trainer.commit(self.store, lease, turn))
+        except PlayerDiverged as error:
+            self._drop_trainer()
+            player, reason = error.player, str(error)
+            self.status = {"doing": reason}
+            self.retry_while_away(lambda: self.store.record_setback(lease, player, reason))
+        except BaseException as error:
+            self._drop_trainer()  # its state is unknown; that in the store is valid
+            self._loaded.pop("programs", None)
+            if is_short(error) and isinstance(trainer, Trainer):  # ranks have reported it themselves
+                raise trainer.too_large() from error
+            raise
+        if not self.stopping.is_set():
+            self._queue_next_turns()
+
+    def _queue_next_turns(self) -> None:
+        """Queue the turns that follow, as the manager does, which looks at the store only now and then.
+
+        The plan is the same for both, and a job that both queue is queued once.
+        """
+        league, window = self.config.league, self.config.budget.window
+        self._league_state = LeagueState.of(self.store, league, self._league_state, recent=window)
+        following = next_turns(self.config, self._league_state)
+        if following.jobs:
+            self.store.queue(following.jobs, following.phases)
+
+    def _trainer(self, turn: TrainingTurn) -> "Trainer | DataParallelTrainer":
+        if "trainer" not in self._loaded:
+            self.status = {"doing": "compiling the training rollout", "learners": list(turn.learners)}
+            self._loaded["trainer"] = self._new_trainer()
+        return self._loaded["trainer"]
+
+    def _new_trainer(self) -> "Trainer | DataParallelTrainer":
+        if self.config.training.devices > 1:
+            from league.training.data_parallel import DataParallelTrainer
+
+            return DataParallelTrainer(self.config, self.spec.run, self.spec.number)
+        from league.system.arena_build import worlds as training_worlds
+        from league.training.trainer import Trainer
+        from league.training.training_programs import TrainingPrograms
+
+        worlds = training_worlds(self.config)
+        if "programs" not in self._loaded:
+            self._loaded["programs"] = TrainingPrograms(self.config, self.arena(worlds))
+        programs, players = self._loaded["programs"], self.store.players(self.config.league)
+        return Trainer(self.config, programs.arena, players, worlds, programs=programs)
+
+    def _drop_trainer(self) -> None:
+        """Have the next turn make a new trainer; end the processes of this one."""
+        trainer = self._loaded.pop("trainer", None)
+        if trainer is not None and self.config.training.devices > 1:
+            trainer.close()
+
+    def _run_turn(self, trainer: "Trainer | DataParallelTrainer", turn: TrainingTurn) -> None:
+        for at in trainer.turn(self.store, turn, self._should_stop):
+            furthest = max(at.counters.values(), key=lambda c: c.iteration)
+            self.status = {
+                "doing": "training", "group": turn.group, "learners": list(turn.learners),
+                "iteration": furthest.iteration, "steps": furthest.steps, "seconds": furthest.seconds,
+                "steps_per_second": at.steps_per_second,
+            }  # fmt: skip
+
+    def _should_stop(self) -> bool:
+        return self.stopping.is_set() or self.lease_lost
+
+    def arena(self, worlds: int) -> "Arena":
+        """Return the league's arena for so many worlds; the present arena is reused if a new one would be equal."""
+        from league.system.arena_build import build
+
+        players = self.store.players(self.config.league)
+        return (build if self.built is None else self.built.again)(self.config, worlds, players)

@@ -1,0 +1,75 @@
+"""The process of a worker: its signals, its device and its threads, the store, and then the lease loop.
+
+Nothing heavy is imported above: `work` first sets the environment variables that jax, XLA and Warp read.
+"""
+
+import os
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING
+
+from arenas.physics.cpu import cores
+from league.runtime.worker import AWAY, Worker, WorkerSpec
+from league.state.jobs import RatingMatch
+from league.system import devices, environment, exit_codes, provenance
+from storage.database import lock_wait
+from storage.errors import StorageError, Unavailable
+from storage.store import Store
+
+if TYPE_CHECKING:
+    from league.system.arena_build import Built
+
+
+def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
+    """Work on the jobs of the given kinds until a SIGTERM, `league stop`, or the end of the manager.
+
+    A worker with a parent ignores Ctrl-C, since the parent decides. In a worker without one, the first Ctrl-C acts as a
+    SIGTERM and the second ends the process. Ends with `exit_codes.UNFIT` if this host cannot do the jobs. `built` is
+    an arena that this process has already.
+    """
+    stopping = threading.Event()
+
+    def on_interrupt(number: int, frame: object) -> None:
+        if stopping.is_set():
+            os._exit(130)
+        stopping.set()
+
+    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
+    signal.signal(signal.SIGINT, on_interrupt if spec.parent is None else signal.SIG_IGN)
+    if spec.devices == 1:
+        devices.take(spec.number)
+    environment.prepare()
+    provenance.code()  # as it is now; the files may change while this process runs
+    config = spec.run.config()
+    if spec.kinds == (RatingMatch.kind,):  # rating uses what the learner leaves idle
+        os.nice(config.workers.nice)
+    import torch
+
+    # Updates alternate with physics, and torch's threads would wake and wait for those of physics: on two cores an
+    # update takes 0.39 s with one thread and 0.47 s with two, and the rollout after it 1.5 s instead of 1.9 s.
+    torch.set_num_threads(max(1, cores() // 2))
+    name = f"{'+'.join(spec.kinds)} worker"
+    try:
+        with _open_store(spec, stopping) as store:
+            worker = Worker(store, config, spec, stopping, built)
+            worker.run()
+    except StorageError as error:  # the manager starts another worker; a person needs the reason, not a traceback
+        print(f"league: {name}: {error}", file=sys.stderr, flush=True)
+        sys.exit(exit_codes.of(error))
+    if worker.unfit:
+        message = f"league: {name} {spec.number} on {worker.host} stops, for it cannot do its jobs: {worker.unfit}"
+        print(message, file=sys.stderr, flush=True)
+        sys.exit(exit_codes.UNFIT)
+
+
+def _open_store(spec: WorkerSpec, stopping: threading.Event) -> Store:
+    """Open the store; wait while it is away. Raises StorageError; Unavailable if the worker is to stop before."""
+    patience = lock_wait.RetryReporter()
+    while True:
+        try:
+            return Store.open(spec.run.store, blobs=spec.run.blobs)
+        except Unavailable as error:
+            patience.report(error)
+            if stopping.wait(AWAY) or (spec.parent is not None and os.getppid() != spec.parent):
+                raise

@@ -1,0 +1,186 @@
+"""Schedule rating matches, from the settings and the league's state alone.
+
+Training has priority on a device that both need (`league/scheduling/rating_budget.py`); after the end of training,
+matches get the whole device. `league/scheduling/turn_scheduler.py` schedules the training turns.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from zlib import crc32
+
+import numpy as np
+
+from league.config.experiment import Config
+from league.scheduling import training_progress
+from league.scheduling.progress_metrics import can_meet, newest_snapshots, required_opponents
+from league.scheduling.rating_budget import next_slot
+from league.scheduling.training_progress import TrainingProgress
+from league.scheduling.turn_scheduler import Plan
+from league.state.jobs import RatingMatch, decode, encode
+from league.state.league_state import LeagueState
+from league.system import batch_sizes
+from matchmaking.match_design import missing_pairs
+from matchmaking.match_selection import pairings
+from storage.records import Job, Phase
+
+RATING = "(rating)"  # the group under which the store remembers the rating that follows training
+Pair = tuple[str, str | None]
+
+
+def is_rating(state: LeagueState) -> bool:
+    """Return whether a rating match is queued or being played."""
+    return any(job.kind == RatingMatch.kind and job.state in ("queued", "leased") for job in state.jobs)
+
+
+def rating_phase(config: Config, state: LeagueState) -> Phase:
+    """Return the phase of rating that follows training, with its remaining seconds, which a restart does not renew.
+
+    The time used is that from the start of the phase in the store to the last rating match since then, so time in
+    which the league was not running costs nothing.
+    """
+    since = {name: checkpoint.iteration for name, checkpoint in state.checkpoints.items()}
+    kept = state.phases.get(RATING)
+    budget = config.budget.rate_seconds
+    if kept is None or dict(kept.since) != since or kept.until.get("budget") != _finite(budget):
+        left = budget
+    else:
+        left = math.inf if kept.until["seconds"] is None else kept.until["seconds"]
+        left -= max(0.0, state.played - kept.created)
+    number = 0 if kept is None else kept.number + 1
+    return Phase(
+        config.league, RATING, number, (), since, {"seconds": _finite(max(0.0, left)), "budget": _finite(budget)}
+    )
+
+
+def rating_over(config: Config, state: LeagueState) -> Phase:
+    """Return the row of a rating phase without remaining time: computed from the last match, a little would remain."""
+    phase = rating_phase(config, state)
+    return replace(phase, until={**phase.until, "seconds": 0.0})
+
+
+def _finite(seconds: float) -> float | None:
+    return None if seconds == math.inf else seconds  # JSON has no infinity
+
+
+def next_matches(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
+    """Return the next rating jobs, one for each rating process; none while one is open or all pairs have their quota.
+
+    While players learn, each newest snapshot meets the newest snapshots of all other players, its reference opponents
+    and its own past snapshots, for `episodes_per_pair` episodes each (matchmaking/match_design.py); the remaining
+    episodes go to the pool. No batch is queued before the previous one has been paid for
+    (league/scheduling/rating_budget.py), nor before any player has learnt. After the end of training the same pairs
+    play `final_episodes_per_pair` episodes each. Pairs of a batch that was set aside are played one by one, and a pair
+    that was set aside alone is not played again.
+
+    `progress` is the training progress of this planning pass, by default computed here.
+    """
+    if is_rating(state) or not any(s.player for s in state.snapshots):
+        return Plan()
+    progress = progress or training_progress.measure(config, state)
+    rating, due = config.rating, None
+    if progress.training:
+        if config.deterministic and not config.budget.by_rating:
+            return Plan()  # the training done when a batch is due depends on the clock
+        due = next_slot(rating.share, progress.seconds, state.batches)
+        if due is None or all(s.initial for s in state.snapshots if s.player):
+            return Plan()
+    alone, never = _set_aside(state)
+    if alone:
+        return Plan(tuple(rating_job(config, state, [pair], due) for pair in alone))
+    each = batch_sizes.batch(rating, "cpu").pairings  # the manager's settings have the number of its own device
+    room = each * max(1, config.workers.match)
+    pairs = [pair for pair in _wanted(config, state, progress.finished, room + len(never)) if pair not in never][:room]
+    batches = [pairs[i : i + each] for i in range(0, len(pairs), each)]
+    return Plan(tuple(rating_job(config, state, batch, due) for batch in batches))
+
+
+def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[Pair]:
+    if state.one_team:
+        return _trials(config, state, over)[:room]
+    frozen = {s.name: s for s in state.snapshots if s.thinned is None}
+
+    def may_meet(a: str, b: str) -> bool:
+        return can_meet(frozen[a], frozen[b], state.players)
+
+    target_episodes = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
+    required = required_opponents(config, state, over)
+    found: list[Pair] = []
+    found += missing_pairs(
+        state.ladder.payoff, required, quota=config.rating.episodes_per_pair, target_episodes=target_episodes
+    )[:room]
+    if len(found) < room:
+        pool = pairings(
+            state.ladder, list(frozen), quota=config.rating.episodes_per_pair, per_batch=room, may_meet=may_meet,
+            kinds={s.name: f"roster {s.roster}" for s in state.snapshots},
+        )  # fmt: skip
+        met = {frozenset(pair) for pair in found}
+        found += [pair for pair in pool if frozenset(pair) not in met]
+    return found[:room]
+
+
+def _trials(config: Config, state: LeagueState, over: bool) -> list[Pair]:
+    """Return the snapshots of an arena of one team that have not played their quota, newest first.
+
+    If training waits for a success rate, no batch consists of older snapshots only, because the newest snapshot would
+    have to wait for it.
+    """
+    quota = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
+    newest = {s.name for s in newest_snapshots(state)}
+    able = [s for s in state.snapshots if s.thinned is None]
+    order = sorted(able, key=lambda s: (s.name not in newest, -s.iteration, s.name))
+    found = [
+        s.name
+        for s in order
+        if state.ladder.trial_episodes(s.name) < (quota if s.name in newest else config.rating.episodes_per_pair)
+    ]
+    if config.budget.by_rating and not over and newest.isdisjoint(found):
+        return []
+    return [(name, None) for name in found]
+
+
+def _set_aside(state: LeagueState) -> tuple[list[Pair], set[Pair]]:
+    """Return the pairs of failed batches, to be played alone now, and the pairs that failed alone.
+
+    A failed batch whose pairs have met since is ignored: the key of a new batch of these pairs would differ.
+    """
+    together: dict[Pair, None] = {}
+    never: set[Pair] = set()
+    for job in state.jobs:
+        if job.kind == RatingMatch.kind and job.state == "failed":
+            task = decode(job)
+            assert isinstance(task, RatingMatch)
+            if len(task.pairs) == 1:
+                never.add(task.pairs[0])
+            elif encode(job.league, task, _about(state, task.pairs)).key == job.key:
+                together |= dict.fromkeys(task.pairs)
+    return [pair for pair in together if pair not in never], never
+
+
+def _episodes(state: LeagueState, pair: Pair) -> int:
+    """Count the episodes that the pair has played, void episodes included."""
+    a, b = pair
+    if b is None:
+        return state.ladder.trial_episodes(a)
+    payoff = state.ladder.payoff
+    met = payoff.between(np.array(payoff.index(a)), np.array(payoff.index(b)))
+    return int(met[:3].sum() + met[8])
+
+
+def _about(state: LeagueState, pairs: Sequence[Pair]) -> list[list]:
+    """Return the identity of a batch. It includes the episodes played so far, so the same pairs may meet again."""
+    return [[*pair, _episodes(state, pair)] for pair in pairs]
+
+
+def rating_job(config: Config, state: LeagueState, pairs: Sequence[Pair], due: float | None) -> Job:
+    """Return the job of a batch of these pairs, booked to second `due` of training; None: after training."""
+    about = _about(state, pairs)
+    seed = crc32(f"{config.seed}/{about}".encode())
+    return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record, due=due), about)
+
+
+def rating_goes_on(config: Config, state: LeagueState) -> bool:
+    """Return whether rating after training was interrupted: time remains, and there are matches to play."""
+    if not config.workers.match or rating_phase(config, state).until["seconds"] == 0:
+        return False
+    return is_rating(state) or bool(next_matches(config, state).jobs)

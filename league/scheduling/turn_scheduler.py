@@ -1,0 +1,151 @@
+"""Schedule training turns: pure functions from the settings and the league's state to the next jobs.
+
+No process holds the plan. The manager computes it again and again. A job's key describes its purpose, and the store
+queues each key once, so computing a plan twice does no harm. A job that was set aside is not queued again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+
+from league.config.experiment import Config
+from league.scheduling import training_progress
+from league.scheduling.opponent_sampling import opponent_distribution
+from league.scheduling.player_resets import steps_left
+from league.scheduling.population import copy_now
+from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
+from league.state.jobs import TrainingTurn, encode
+from league.state.league_state import LeagueState
+from matchmaking.opponents import draw
+from matchmaking.schedule import next_due
+from storage.records import Job, Phase, Player
+
+Assignments = tuple[tuple[str, ...], ...]  # for each group of worlds the snapshot or player of every team
+Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it was drawn, and out of how many
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Jobs to queue, and the phases of schedules that they belong to."""
+
+    jobs: tuple[Job, ...] = ()
+    phases: tuple[Phase, ...] = ()
+
+
+def trained_enough(config: Config, state: LeagueState) -> bool:
+    """Return whether no player will learn any more under these settings."""
+    return training_progress.measure(config, state).finished
+
+
+def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
+    """Return a turn for every group that has none open and is not finished; the first turn only makes the players.
+
+    `progress` is the training progress of this planning pass, by default computed here.
+    """
+    progress = progress or training_progress.measure(config, state)
+    jobs, phases = [], []
+    for name in _next_groups(config, progress):
+        group = progress.groups[name]
+        turn = (
+            _first_turn(state, name, group) if group.phase is None else _turn(config, state, name, group, group.phase)
+        )
+        # The number of iterations is in the key: a turn that a smaller budget cut short differs from its continuation.
+        about = [name, turn.phase, turn.learners, turn.iterations, dict(turn.bases), turn.retry]
+        jobs.append(encode(config.league, turn, about, priority=1))
+        phases += [group.phase] if group.phase is not None else []
+    return Plan(tuple(jobs), tuple(phases))
+
+
+def _next_groups(config: Config, progress: TrainingProgress) -> list[str]:
+    """Return the groups whose turn is planned now.
+
+    All players are made before any of them learns, because each may meet all others. In a deterministic league the
+    groups take turns, fewest steps first, so that opponents do not depend on timing.
+    """
+    able = [name for name, group in progress.groups.items() if not group.finished]
+    able = [name for name in able if progress.groups[name].phase is None] or able
+    if not config.deterministic:
+        return [name for name in able if name not in progress.open]
+    return sorted(able, key=lambda name: progress.groups[name].steps)[:1] if not progress.open else []
+
+
+def _first_turn(state: LeagueState, name: str, group: GroupProgress) -> TrainingTurn:
+    new = [p for p in group.players if p.name not in state.checkpoints]
+    teams = 1 + max(p.team for p in state.players)
+    return TrainingTurn(
+        name, -1, tuple(p.name for p in new), _seats(new, teams), {p.name: "" for p in new}, 0, {}, {}, group.retry
+    )
+
+
+def _turn(config: Config, state: LeagueState, name: str, group: GroupProgress, phase: Phase) -> TrainingTurn:
+    seats = _seats(group.players, 1 + max(p.team for p in state.players))
+    met = {learner.player.name: _opponents(config.seed, state, learner, seats) for learner in group.learners}
+    return TrainingTurn(
+        name,
+        phase.number,
+        tuple(met),
+        seats,
+        {p.name: state.checkpoints[p.name].digest for p in group.players},
+        _iterations(config, group, phase),
+        {learner: assignments for learner, (assignments, _) in met.items()},
+        {learner: chances for learner, (_, chances) in met.items()},
+        group.retry,
+        {p.name: copy for p, *_ in group.learners if (copy := copy_now(config, state, p))},
+    )
+
+
+def _iterations(config: Config, group: GroupProgress, phase: Phase) -> int:
+    """Return the length of a turn: until a snapshot is due, the phase or the step budget ends, or the longest turn.
+
+    If every machine chooses its number of worlds, limits in steps are left out here: the trainer checks them after
+    each iteration.
+    """
+    training, limits, steps = config.training, [config.training.iterations_per_turn], []
+    for _, role, at, history, _ in group.learners:
+        if role.timeout is not None:
+            steps.append(steps_left(role, history[-1], at.step) or 0)
+        elif not role.has_generations:
+            limits.append(next_due(at.iteration, training.snapshots_per_doubling) - at.iteration)
+    if group.remaining is not None:
+        (steps if "step" in phase.until else limits).append(group.remaining)
+    if config.budget.steps is not None:
+        steps.append(config.budget.steps - group.steps)
+    if training.worlds is not None:
+        limits += [-(-n // (training.worlds * training.rollout_length)) for n in steps]
+    return max(1, min(limits))
+
+
+def _opponents(seed: int, state: LeagueState, learner: Learner, seats: Sequence[str]) -> tuple[Assignments, Chances]:
+    """Draw the opponents of a learning player for the whole turn.
+
+    Returns:
+        For each of its groups of worlds the snapshot of every team, "" in its own team and for a present player; and
+        for each snapshot the probability with which it was drawn, and the size of the pool.
+    """
+    player, rule = learner.player, learner.role.opponents
+    assert rule is not None
+    present, past = rule.split()
+    if "" in seats:  # a team without a player in this group can only be its past
+        present, past = 0, present + past
+    if not past:
+        return (), {}
+    since = -1 if learner.reset is None else learner.reset.iteration
+    rng = np.random.default_rng([seed, learner.checkpoint.iteration, crc32(player.name.encode())])
+    assignments, chances = [[""] * len(seats) for _ in range(past)], {}
+    for team, opponent in enumerate(seats):
+        if team == player.team:
+            continue
+        found = opponent_distribution(rule, state, player, team, opponent, learner.role, since)
+        names, weights = (*found.names, ""), found.mixture.weights
+        for assignment, i in zip(assignments, draw(weights, past, rng), strict=True):
+            assignment[team] = names[i]
+            if names[i]:
+                chances[names[i]] = (float(weights[i]), len(found.names))
+    return tuple(map(tuple, assignments)), chances
+
+
+def _seats(players: Sequence[Player], teams: int) -> tuple[str, ...]:
+    by_team = {p.team: p.name for p in players}
+    return tuple(by_team.get(team, "") for team in range(teams))

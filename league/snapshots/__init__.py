@@ -1,0 +1,1 @@
+"""Snapshots as bytes and files: codec, policy files, archives, warm starts, retention."""

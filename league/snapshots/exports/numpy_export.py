@@ -1,0 +1,60 @@
+"""A frozen policy's network as a few lines of NumPy, for its model card: to read, and to run where nothing else is."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
+
+_ACTIVATION = {
+    "tanh": "np.tanh(x)",
+    "relu": "np.maximum(x, 0)",
+    "elu": "np.where(x > 0, x, np.expm1(np.minimum(x, 0)))",
+}
+_LAYER_NORM = (
+    "norm = lambda x, w: (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-5) * p[w + '.weight']"
+    " + p[w + '.bias']"
+)
+
+
+def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
+    """Return Python that defines `act` for one agent: from observations (n, obs) to actions (n, act).
+
+    With `noise` of standard normal numbers it explores, as in the league. A recurrent one also takes its memory (n,
+    units), zeros at first, and returns it.
+
+    Args:
+        agent: its description, see `league.snapshots.policy_file.agents_of`.
+        number: its number in the roster.
+        file: the safetensors file of the policy.
+    """
+    units, normed = agent.get("recurrent", 0), agent["layer_norm"]
+
+    logit = "x @ p['deviation.weight'].T + p['deviation.bias']" if agent["state_std"] else "p['std_logit']"
+    lines = [
+        "import numpy as np",
+        "from safetensors.numpy import load_file",
+        f"p = {{k.partition('/')[2]: v for k, v in load_file({file!r}).items() if k.startswith('{number}/')}}",
+        *([_LAYER_NORM] if normed else []),
+        f"def act(x, {'h, ' if units else ''}noise=0.0):",
+        f"    deviation = np.sqrt(np.maximum(p['trunk.observation_var'], {VARIANCE_FLOOR}))",
+        "    x = (x - p['trunk.observation_mean']) / deviation",
+        "    x = np.clip(x, -p['trunk.observation_clip'], p['trunk.observation_clip'])",
+        *(["    x = norm(x, 'trunk.norm.0')"] if normed else []),
+        f"    for i in range({len(agent['hidden'])}):",
+        "        x = x @ p[f'trunk.hidden.{i}.weight'].T + p[f'trunk.hidden.{i}.bias']",
+        f"        x = {_ACTIVATION[agent['activation']]}",
+        *(["        x = norm(x, f'trunk.norm.{i + 1}')"] if normed else []),
+    ]
+    if units:
+        lines += [
+            "    a, b = (v @ p[f'gru.weight_{k}'].T + p[f'gru.bias_{k}'] for v, k in ((x, 'ih'), (h, 'hh')))",
+            f"    r, z = np.split(1 / (1 + np.exp(-(a + b)[:, :{2 * units}])), 2, -1)",
+            f"    n = np.tanh(a[:, {2 * units}:] + r * b[:, {2 * units}:])",
+            f"    h = n + z * (h - n){'' if normed else '; x = h'}",
+            *(["    x = norm(h, 'gru.norm')"] if normed else []),
+        ]
+    drawn = f"x @ p['mean.weight'].T + p['mean.bias'] + p['std_scale'] / (1 + np.exp(-({logit}))) * noise"
+    answer = "u"
+    if agent["squash"] is not None:
+        answer = f"p['squash'] * np.clip(np.tanh(u / p['squash']), -{SQUASH_EDGE}, {SQUASH_EDGE})"
+    return [*lines, f"    u = {drawn}", f"    return {answer}{', h' if units else ''}"]

@@ -1,0 +1,114 @@
+"""A frozen policy's network as a TorchScript file, with the inputs and outputs of its ONNX file (`onnx_export`).
+
+`forward(observations, noise)` returns the actions; of a recurrent policy `forward(observations, noise, memory)` returns
+the actions and the next memory, and the attribute `memory_size` is the number of its units.
+"""
+
+import io
+import warnings
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
+
+
+def torchscript_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]) -> bytes:
+    """Return the TorchScript file of one agent's network; the arguments are those of `onnx_bytes`."""
+    module = (_Recurrent if agent.get("recurrent") else _Plain)(arrays, agent).eval()
+    data = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # torch advises torch.export; robots still load TorchScript
+        torch.jit.save(torch.jit.script(module), data)
+    return data.getvalue()
+
+
+class _Policy(nn.Module):
+    """The parts of a policy without its memory."""
+
+    mean: Tensor  # (obs,) of observations
+    deviation: Tensor  # (obs,)
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]):
+        super().__init__()
+        widths, normed, last = [agent["observation"], *agent["hidden"]], agent["layer_norm"], agent["hidden"][-1:]
+        self.activation: str = agent["activation"]
+        self.clip = float(arrays["trunk.observation_clip"])
+        self.squash = float(agent["squash"] or 0.0)
+        self.edge = SQUASH_EDGE
+        self.register_buffer("mean", torch.tensor(arrays["trunk.observation_mean"]))
+        floor = np.float32(VARIANCE_FLOOR)
+        self.register_buffer("deviation", torch.tensor(np.sqrt(np.maximum(arrays["trunk.observation_var"], floor))))
+        norms = [nn.LayerNorm(w) if normed else nn.Identity() for w in widths]
+        self.first_norm = norms[0]
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+        self.norms = nn.ModuleList(norms[1:])
+        width = agent.get("recurrent") or (last[0] if last else agent["observation"])
+        self.action = nn.Linear(width, agent["action"])
+        self.logit = nn.Linear(width, agent["action"])
+        self.std_scale = float(arrays["std_scale"])
+        weights = {"action": "mean", "logit": "deviation", "first_norm": "trunk.norm.0"}
+        weights |= {f"hidden.{i}": f"trunk.hidden.{i}" for i in range(len(self.hidden))}
+        weights |= {f"norms.{i}": f"trunk.norm.{i + 1}" for i in range(len(self.norms))}
+        with torch.no_grad():
+            for name, source in weights.items():
+                for part, parameter in self.get_submodule(name).named_parameters():
+                    if f"{source}.{part}" in arrays:
+                        parameter.copy_(torch.tensor(arrays[f"{source}.{part}"]))
+            if "std_logit" in arrays:  # a deviation that does not depend on observations
+                self.logit.weight.zero_()
+                self.logit.bias.copy_(torch.tensor(arrays["std_logit"]))
+
+    def features(self, observations: Tensor) -> Tensor:
+        """Return the output of the hidden layers."""
+        x = ((observations - self.mean) / self.deviation).clamp(-self.clip, self.clip)
+        x = self.first_norm(x)
+        for layer, norm in zip(self.hidden, self.norms):  # noqa: B905  (TorchScript has no strict)
+            x = layer(x)
+            if self.activation == "tanh":
+                x = torch.tanh(x)
+            elif self.activation == "relu":
+                x = torch.relu(x)
+            else:
+                x = nn.functional.elu(x)
+            x = norm(x)
+        return x
+
+    def actions(self, x: Tensor, noise: Tensor) -> Tensor:
+        """Return the actions for the last layer's input."""
+        drawn = self.action(x) + torch.sigmoid(self.logit(x)) * self.std_scale * noise
+        if self.squash > 0.0:
+            return self.squash * torch.tanh(drawn / self.squash).clamp(-self.edge, self.edge)
+        return drawn
+
+
+class _Plain(_Policy):
+    """A policy without memory."""
+
+    def forward(self, observations: Tensor, noise: Tensor) -> Tensor:
+        """Return the actions (n, act)."""
+        return self.actions(self.features(observations), noise)
+
+
+class _Recurrent(_Policy):
+    """A policy with a GRU, whose gates torch orders as `agents.policy.networks.GRU` does."""
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]):
+        super().__init__(arrays, agent)
+        self.memory_size: int = agent["recurrent"]
+        last = [agent["observation"], *agent["hidden"]][-1]
+        self.cell = nn.GRUCell(last, self.memory_size)
+        self.out_norm = nn.LayerNorm(self.memory_size) if agent["layer_norm"] else nn.Identity()
+        self.cell.load_state_dict({name: torch.tensor(arrays[f"gru.{name}"]) for name in self.cell.state_dict()})
+        self.out_norm.load_state_dict(
+            {name: torch.tensor(arrays[f"gru.norm.{name}"]) for name in self.out_norm.state_dict()}
+        )
+
+    def forward(self, observations: Tensor, noise: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the actions (n, act) and the next memory (n, units)."""
+        after = self.cell(self.features(observations), memory)
+        return self.actions(self.out_norm(after), noise), after

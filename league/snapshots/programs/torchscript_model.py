@@ -1,0 +1,47 @@
+"""TorchScript files as policies, run by torch on the CPU."""
+
+import io
+import warnings
+
+import numpy as np
+import torch
+
+from league.snapshots.programs.model import ACTIONS, NEXT, AgentSizes, Arrays, Model, ProgramError, roles
+
+
+def load(data: bytes, name: str, agent: AgentSizes) -> Model:
+    """Return the model in a TorchScript file. Raises ProgramError for a file that is none.
+
+    Its `forward` takes one tensor or several by the names of `roles`. With memory it returns (actions, next memory,
+    ...) in the order of its arguments, and its attribute `x_size` has the size of a memory `x`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # torch advises its successor, which others do not read
+            module = torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
+        arguments = [each.name for each in module.forward.schema.arguments[1:]]
+    except Exception as error:  # torch raises RuntimeError, ValueError, AttributeError, ...
+        reason = " ".join(str(error).split())[:200]
+        raise ProgramError(
+            f"{name} is no TorchScript file ({reason}): save a module by torch.jit.script(module).save(file)"
+        ) from None
+    sees, noise, memory = roles(arguments, f"{name}: forward")
+    sizes = {each: _memory_size(module, name, each) for each in memory}
+
+    def run(given: Arrays) -> Arrays:
+        """Run the module; single results count as actions."""
+        with torch.inference_mode():
+            found = module(*(torch.from_numpy(np.array(given[each])) for each in arguments))
+        found = list(found) if isinstance(found, (tuple, list)) else [found]
+        return dict(zip([ACTIONS, *(NEXT + each for each in memory)], (x.numpy() for x in found), strict=False))
+
+    return Model(run, sees, ACTIONS, noise, sizes)
+
+
+def _memory_size(module: torch.jit.ScriptModule, name: str, memory: str) -> int:
+    size = getattr(module, f"{memory}_size", None)
+    if not isinstance(size, int) or size < 1:
+        raise ProgramError(
+            f"{name}: forward takes memory {memory}, and has no attribute {memory}_size: int that tells its size"
+        )
+    return size

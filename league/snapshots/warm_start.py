@@ -1,0 +1,271 @@
+"""Warm start: the players of a league take over actors and critics of earlier leagues.
+
+A frozen policy that comes with the league counts as a league of one player without a critic.
+
+An agent continues from an agent of the same kind of robot, of the nearest league that has one. If that league has
+several, they are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of
+observation or action is refused, because that is a mistake in the settings.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from arenas.rosters import bare, roster_agents
+from league.config import toml
+from league.config.sections import Rating
+from league.queries.league_settings import LeagueSettings
+from league.scheduling.stage_completion import handed_on
+from league.snapshots import policy_file
+from league.state.league_state import LeagueState
+from storage.blobs import arrays
+from storage.errors import StorageError, UnknownName
+from storage.records import Player, Snapshot
+from storage.store import Store
+
+if TYPE_CHECKING:
+    from agents.learner.happo import Learner
+
+
+class Source(NamedTuple):
+    """An agent of a player of another league."""
+
+    league: str
+    player: str
+    agent: int  # in its team's order
+
+
+class WarmStart(NamedTuple):
+    """Sources of a player's warm start."""
+
+    actors: tuple[Source | None, ...]  # for each of its agents; None starts from scratch
+    critic: tuple[str, str] | None  # (league, player); None starts from scratch, with the value normaliser
+
+
+FROZEN = "frozen"  # the role of a policy that comes with the league
+
+
+class IncompatiblePolicy(ValueError):  # noqa: N818  (named after the policy)
+    """A source policy with another size of observation or action than the league's agent of the same kind."""
+
+
+def warm_starts(
+    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own"
+) -> dict[str, WarmStart]:
+    """Return the sources of each player; `before` are the players of other leagues, the nearest league first.
+
+    A critic and its value normaliser continue if all actors come from one player and that player had the same roster:
+    then the critic's input fits. A critic that sees all teams needs equal rosters of all teams, and one that judges for
+    all teams needs the same roster for each of them. A critic that sees the whole state starts from scratch, because
+    another arena has another state. Raises IncompatiblePolicy, one line with both sizes.
+    """
+    taken: dict[str, int] = {}  # kind -> number of its agents that have a source already
+    found = {}
+    for player in players:
+        actors = tuple(_source(agent, before, taken) for agent in roster_agents(player.roster))
+        critic = _critic(player, actors, before)
+        if critic and not _fits(critic_input, player, players, *_of(before, critic)):
+            critic = None
+        found[player.name] = WarmStart(actors, critic)
+    return found
+
+
+def _source(agent: str, before: Sequence[Sequence[Player]], taken: dict[str, int]) -> Source | None:
+    kind = _kind(agent)
+    for league in before:
+        able = [
+            (Source(player.league, player.name, i), other)
+            for player in sorted(league, key=lambda p: (p.role != "main", p.team, p.name))
+            for i, other in enumerate(roster_agents(player.roster))
+            if _kind(other) == kind
+        ]
+        if able:
+            source, other = able[taken.get(kind, 0) % len(able)]
+            taken[kind] = taken.get(kind, 0) + 1
+            if other != agent:
+                raise IncompatiblePolicy(
+                    f"{kind} {_sizes(agent)} here, and {_sizes(other)} in {source.league}: give both the same"
+                    " observation (arena.buffer, say, in each stage), or its players no forerunner"
+                )
+            return source
+    return None
+
+
+def _critic(
+    player: Player, actors: Sequence[Source | None], before: Sequence[Sequence[Player]]
+) -> tuple[str, str] | None:
+    owners = {(source.league, source.player) if source else None for source in actors}
+    owner = owners.pop() if len(owners) == 1 else None
+    rosters = {(p.league, p.name): bare(p.roster) for league in before for p in league if p.role != FROZEN}
+    return owner if owner is not None and rosters.get(owner) == bare(player.roster) else None
+
+
+def _of(before: Sequence[Sequence[Player]], owner: tuple[str, str]) -> tuple[Player, Sequence[Player]]:
+    """Return a player of an earlier league, and all players of that league."""
+    return next((p, league) for league in before for p in league if (p.league, p.name) == owner)
+
+
+def _fits(sees: str, player: Player, league: Sequence[Player], owner: Player, before: Sequence[Player]) -> bool:
+    """Return whether the critic of `owner`, a player of another league, has the input that `player` needs."""
+    if sees == "all":
+        return _rosters(player, league) == _rosters(owner, before)
+    if sees == "same":
+        return {p.team: bare(p.roster) for p in league} == {p.team: bare(p.roster) for p in before}
+    return sees == "own"
+
+
+def _rosters(player: Player, league: Sequence[Player]) -> list[str]:
+    """Return the rosters that a critic of all teams sees: its own, then those of the other teams in their order."""
+    others = {p.team: bare(p.roster) for p in league if p.team != player.team}
+    return [bare(player.roster), *(others[team] for team in sorted(others))]
+
+
+def _kind(agent: str) -> str:
+    return agent.partition(":")[0]
+
+
+def _sizes(agent: str) -> str:
+    _, observation, action = agent.split(":")
+    return f"sees {observation} numbers and acts with {action}"
+
+
+def describe(starts: Mapping[str, WarmStart], store: Store | None = None) -> list[str]:
+    """Describe the sources of every player in sentences.
+
+    With a `store` they name the snapshots that are used instead of a player's newest state, and the reason.
+    """
+    owners = dict.fromkeys((s.league, s.player) for actors, _ in starts.values() for s in actors if s)
+    older = {owner: found for owner in owners if store and (found := _best(store, *owner))}
+
+    def whose(source: Source) -> str:
+        found = older.get(source[:2])
+        return f"{source.league}'s {found[0].name if found else source.player}/{source.agent}"
+
+    lines = [
+        f"{league} hands on {best.name}, the best snapshot of {player}: it {how}"
+        for (league, player), (best, how) in older.items()
+    ]
+    for name, (actors, critic) in starts.items():
+        sources = [whose(source) if source else "nothing" for source in actors]
+        text = f"actors go on from {', '.join(sources)}" if any(actors) else "actors start afresh"
+        value = f"critic and value normaliser from {critic[0]}'s {critic[1]}" if critic else "critic starts afresh"
+        why = "" if critic or not any(actors) else " (no earlier one has its input)"
+        lines.append(f"{name}: {text}; {value}{why}")
+    return lines
+
+
+def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:
+    """Return the players for each name: of a league of the store, else of a policy that comes with the league.
+
+    Raises UnknownName for a name that is neither.
+    """
+    leagues = {league.name: store for league in store.leagues()} if store else {}
+    for name in named:
+        if name not in leagues and name not in policy_file.trained():
+            raise UnknownName("league or trained policy", name, [*leagues, *policy_file.trained()])
+    return [leagues[name].players(name) if name in leagues else [_shipped_player(name)] for name in named]
+
+
+def _shipped_player(name: str) -> Player:
+    about = policy_file.read(policy_file.find(name)).about
+    return Player(name, about["name"], 0, FROZEN, about["roster"])
+
+
+def of(
+    store: Store | None, players: Sequence[Player], after: Sequence[str], critic_input: str = "own"
+) -> dict[str, WarmStart]:
+    """Return the sources of the players of a league, among the leagues and policies named in `after`.
+
+    `store` is None for a new store. A critic with another kind of input starts from scratch. Raises UnknownName as
+    `forerunners` does, IncompatiblePolicy as `warm_starts` does.
+    """
+    order = sorted(players, key=lambda p: (p.role != "main", p.team, p.name))
+    return {
+        name: each._replace(critic=None) if each.critic and _saw(store, each.critic[0]) != critic_input else each
+        for name, each in warm_starts(order, forerunners(store, after), critic_input).items()
+    }
+
+
+def _saw(store: Store | None, league: str) -> str:
+    """Return the kind of input of the critics of a league of this store."""
+    assert store is not None  # a frozen policy has no critic
+    learner = toml.parse(store.league(league).config, league).get("learner", {})
+    return str(learner.get("critic_input", "own"))
+
+
+def start(store: Store | None, learner: "Learner", sources: WarmStart) -> str | None:
+    """Load the weights of a player's sources into a new learner, and return the name of the first source's checkpoint.
+
+    Inputs that were constant during the earlier training are ignored at first
+    (`checkpoint.with_constant_inputs_silenced`). Raises StorageError if a player has no checkpoint yet, or one that is
+    damaged or of another network.
+    """
+    owners = dict.fromkeys((s.league, s.player) for s in sources.actors if s)
+    kept = {owner: _state(store, *owner) for owner in owners}
+    actors = [(kept[source[:2]][1], source.agent) if source else None for source in sources.actors]
+    try:
+        learner.warm_start(actors, kept[sources.critic][1] if sources.critic else None, from_other_arena=True)
+    except ValueError as error:
+        raise StorageError(f"cannot go on from {' and '.join(f'{a} {b}' for a, b in owners)}: {error}") from None
+    return next((name for name, _ in kept.values()), None)
+
+
+def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
+    """Return the name of a source player and its learner's state; for a frozen policy only the part for actors."""
+    if store is None or league not in {known.name for known in store.leagues()}:
+        return f"{league}/{player}", _arrays_of(policy_file.read(policy_file.find(league)))
+    kept = store.checkpoint(league, player)
+    if kept is None:
+        raise StorageError(f"player {player} of league {league} has no checkpoint to start from")
+    state = arrays.from_bytes(store.blobs.get(kept.digest))
+    if found := _best(store, league, player):
+        snapshot, _ = found
+        return f"{league}/{snapshot.name}", {**state, **_named(arrays.from_bytes(store.blobs.get(snapshot.digest)))}
+    return f"{league}/{player}@{kept.iteration}", state
+
+
+def _best(store: Store, league: str, player: str) -> tuple[Snapshot, str] | None:
+    """Return the snapshot to start from for a player of a league, and its score in words; None: use the newest state.
+
+    The critic is always the newest one, because snapshots have none.
+    """
+    if league not in {known.name for known in store.leagues()}:
+        return None
+    settings = LeagueSettings(league, store.league(league).config)
+    quota = settings.get("rating", "episodes_per_pair", otherwise=Rating().episodes_per_pair)
+    state = LeagueState.of(store, league)
+    found = handed_on(state, player, quota)
+    return None if found is None else (found.snapshot, found.how(state))
+
+
+def thaw_into(learner: "Learner", frozen: bytes, known: Mapping[str, np.ndarray]) -> None:
+    """Give a learner the actors of a snapshot of its own roster.
+
+    `known` has the number of decisions behind the statistics of observations (`checkpoint.observed`). Raises ValueError
+    as `Learner.load` does.
+    """
+    policies = arrays.from_bytes(frozen)
+    state = {**_named(policies), **known}
+    if "sharing" in (own := learner.state()):
+        state["sharing"] = own["sharing"]
+    learner.warm_start([(state, i) for i in range(len(learner.actors))], None)
+
+
+def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return a snapshot's arrays by their names in a learner's state."""
+    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in policies.items()}
+
+
+def _arrays_of(policy: policy_file.Policy) -> dict[str, np.ndarray]:
+    """Return a frozen policy's actors as in a learner's state.
+
+    If the policy normalises observations, its statistics have the weight of the decisions in its last league, so that a
+    first batch does not dominate them.
+    """
+    state = _named(policy.arrays)
+    for i in range(len(roster_agents(policy.about["roster"]))):
+        trunk = f"actor.{i}.trunk.observation_"
+        known = policy.about["steps"] if np.isfinite(state[f"{trunk}clip"]) else 0
+        state[f"actor.{i}.observed"] = np.full_like(state[f"{trunk}mean"], known)
+    return state

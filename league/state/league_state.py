@@ -1,0 +1,234 @@
+"""The current state of a league in its store as one value, for the plan, the tables and the progress line."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from league.state.void_rates import Voids
+from league.state.void_rates import found as voids_found
+from matchmaking.ratings.ladder import Ladder, Pool
+from matchmaking.ratings.payoff import Score
+from matchmaking.schedule import Schedule, turn_score
+from storage.records import (
+    RATED_PURPOSES,
+    ArenaKey,
+    Checkpoint,
+    CurvePoint,
+    Job,
+    Match,
+    Meeting,
+    Phase,
+    Player,
+    Snapshot,
+)
+from storage.store import Store
+
+
+class Batches(NamedTuple):
+    """The rating batches that were queued last, at the same time, during training."""
+
+    due: float  # the second of training to which they are booked, see share.py
+    seconds: float  # device time that they took
+
+
+class Group(NamedTuple):
+    """Players that learn together, with their training so far."""
+
+    name: str
+    players: Sequence[Player]
+    seconds: float  # of training
+    steps: int  # environment steps of training
+    phase: Phase | None  # the newest; None before the first
+    histories: Sequence[Sequence[Snapshot]]  # of each player, oldest first
+
+
+NO_MATCHES = Ladder(())
+
+
+@dataclass(frozen=True)
+class LeagueState:
+    """The state of a league: players, checkpoints, phases, snapshots, jobs, ladder and results of training games."""
+
+    players: Sequence[Player] = ()
+    snapshots: Sequence[Snapshot] = ()  # those of no player first, then by (iteration, name)
+    checkpoints: Mapping[str, Checkpoint] = field(default_factory=dict)  # player -> newest checkpoint
+    phases: Mapping[str, Phase] = field(default_factory=dict)  # group -> newest phase
+    jobs: Sequence[Job] = ()  # queued, leased or failed, oldest first
+    arena: ArenaKey | None = None  # key under which matches are rated now; None before the first match
+    ladder: Ladder = NO_MATCHES  # of the rating matches under `arena`
+    read: int = 0  # the last rated match that was read, under any key
+    played: float = 0.0  # database time at which the last rating match of the league itself was written
+    meetings: Sequence[Meeting] = ()  # results of all training games, in the order of their turns
+    batches: Batches | None = None  # None before the first batch
+    rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if `recent` > 0
+    scores: Mapping[str, Score] = field(default_factory=dict)  # of learners whose turn ends by a score: see turn_scores
+    revision: int = -1  # of the store at the time of reading
+    voids: Sequence[Voids] = ()  # shares of void episodes that deserve a warning
+
+    @classmethod
+    def of(
+        cls,
+        store: Store,
+        league: str,
+        before: "LeagueState | None" = None,
+        arena: ArenaKey | None = None,
+        recent: int = 0,
+    ) -> "LeagueState":
+        """Read the state of a league: `before` itself if nothing has changed, else only the new part of the match log.
+
+        The ladder is that of `arena`, by default that of the newest rating match. `recent` is the number of learning
+        iterations over which `rewards` are averaged; with 0 there are no rewards. Raises UnknownName for an unknown
+        league.
+        """
+        # The order matters: changes during the reading are read again next time. Until then a job can look unfinished
+        # although its results were read, but no job looks finished before its results were read.
+        revision = store.revision(league)
+        if before is not None and before.revision == revision and arena in (None, before.arena):
+            return before
+        before = before or cls()
+        jobs, players = store.jobs(league, ("queued", "leased", "failed")), store.players(league)
+        known = store.snapshot_count(league) == (
+            len(before.snapshots),
+            sum(s.thinned is not None for s in before.snapshots),
+        )
+        snapshots = before.snapshots if known else store.snapshots(league, brief=True)
+        log = _Log.of(store, league, before, arena, Pool.of(snapshots, players))
+        checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
+        met = before.meetings[-1].id if before.meetings else 0
+        return cls(
+            players, snapshots, checkpoints, phases, jobs, *log[:4],
+            [*before.meetings, *store.meetings(league, met)],
+            log.batches, _rewards(store, checkpoints, recent), turn_scores(store, phases), revision,
+            voids_found(store, league, checkpoints),
+        )  # fmt: skip
+
+    @classmethod
+    def without_games(cls, store: Store, league: str) -> "LeagueState":
+        """Read all except snapshots, training games and rating matches, which are many in an old league."""
+        checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
+        return cls(
+            store.players(league),
+            checkpoints=checkpoints,
+            phases=phases,
+            jobs=store.jobs(league, ("queued", "leased", "failed")),
+            scores=turn_scores(store, phases),
+            voids=voids_found(store, league, checkpoints),
+        )
+
+    def history(self, player: str) -> Sequence[Snapshot]:
+        """Return a player's snapshots, oldest first."""
+        return self._histories.get(player, ())
+
+    @cached_property
+    def _histories(self) -> Mapping[str | None, Sequence[Snapshot]]:
+        found = defaultdict[str | None, list[Snapshot]](list)
+        for snapshot in self.snapshots:
+            found[snapshot.player].append(snapshot)
+        return found
+
+    @cached_property
+    def groups(self) -> Mapping[str, Sequence[Player]]:
+        """The players that learn together, by the name of their group."""
+        names = dict.fromkeys(player.group for player in self.players)
+        return {name: [player for player in self.players if player.group == name] for name in names}
+
+    def learning_groups(self, schedule: Schedule) -> list[Group]:
+        """Return the groups of players, with the training that counts under this schedule."""
+        return [
+            Group(name, own, *self.spent(name, schedule), self.phases.get(name), [self.history(p.name) for p in own])
+            for name, own in self.groups.items()
+        ]
+
+    def spent(self, group: str, schedule: Schedule) -> tuple[float, int]:
+        """Return seconds and environment steps of training of a group.
+
+        A player's own count grows only while it learns. If players take turns, the group's count is their sum, else the
+        largest count.
+        """
+        own = [self.checkpoints[p.name] for p in self.groups[group] if p.name in self.checkpoints]
+        total = sum if schedule.sums_counts else max
+        return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
+
+    def trained(self, schedule: Schedule) -> float:
+        """Return device seconds of training: the sum over groups, since each group trains on a device of its own."""
+        return sum(self.spent(group, schedule)[0] for group in self.groups)
+
+    @property
+    def newest(self) -> Checkpoint | None:
+        """The checkpoint with the highest iteration of all players; None before the first."""
+        return max(self.checkpoints.values(), key=lambda c: c.iteration, default=None)
+
+    @property
+    def one_team(self) -> bool:
+        """True if all players are of one team, so that there are no opponents."""
+        return len({player.team for player in self.players}) == 1
+
+
+def turn_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
+    """Return the recent score of each learner whose turn can end by a score, from its learning curve.
+
+    The score counts training episodes of this turn, in all worlds from which the learner learns. They exist after each
+    iteration, are stored with the checkpoint that resulted, and are the same on every machine if training is.
+    """
+    return {
+        learner: turn_score(episode_scores(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
+        for phase in phases.values()
+        if "score" in phase.until
+        for learner in phase.learners
+    }
+
+
+def episode_scores(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
+    """Return (number of episodes that ended, their mean score) for each iteration in which any ended."""
+    return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
+
+
+def _rewards(store: Store, checkpoints: Mapping[str, Checkpoint], recent: int) -> dict[str, float]:
+    """Return reward per episode over the last `recent` iterations, for players with that many and an ended episode."""
+    found = {}
+    for name, at in checkpoints.items() if recent else ():
+        points = [p.values for p in store.curves(at.league, name, after=at.iteration - recent)]
+        lengths = [p["length"] for p in points if "length" in p]
+        if len(points) >= recent and lengths:
+            found[name] = sum(p["reward"] for p in points) / len(points) * sum(lengths) / len(lengths)
+    return found
+
+
+def _batches(last: Batches | None, new: Sequence[Match]) -> Batches | None:
+    """Return the newest batches, given the newest before the `new` matches."""
+    for match in new:
+        if match.due is not None:
+            paid = last.seconds if last is not None and last.due == match.due else 0.0
+            last = Batches(match.due, paid + match.seconds)
+    return last
+
+
+class _Log(NamedTuple):
+    """The part of LeagueState that comes from the log of rated matches."""
+
+    arena: ArenaKey | None
+    ladder: Ladder
+    read: int
+    played: float
+    batches: Batches | None
+
+    @classmethod
+    def of(cls, store: Store, league: str, before: LeagueState, arena: ArenaKey | None, pool: Pool) -> "_Log":
+        """Read the log for one ladder: add new matches to `before`, or take the log's sums for a new ladder."""
+        new = store.matches(league, RATED_PURPOSES, after=before.read) if before.read else []
+        key = arena or (new[-1].arena if new else before.arena)
+        if not before.read or key != before.arena:
+            return cls._summed(store, league, arena, pool)
+        ladder = before.ladder.extended([m for m in new if m.arena == key], pool)
+        played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
+        return cls(key, ladder, new[-1].id if new else before.read, played, _batches(before.batches, new))
+
+    @classmethod
+    def _summed(cls, store: Store, league: str, arena: ArenaKey | None, pool: Pool) -> "_Log":
+        totals = store.totals(league, RATED_PURPOSES)
+        key, read = arena or next(iter(totals), None), max((log.newest for log in totals.values()), default=0)
+        pace = store.pace(league, RATED_PURPOSES, until=read)
+        batches = None if pace.due is None else Batches(pace.due, pace.seconds or 0.0)
+        return cls(key, Ladder(pool, totals.get(key, ()) if key else ()), read, pace.played, batches)

@@ -1,0 +1,51 @@
+"""Tests for the processes of a league that are alive, by the store and by this host."""
+
+import os
+import re
+import socket
+from contextlib import suppress
+from pathlib import Path
+
+from storage.records import Worker
+from storage.store import Store
+
+SEEN = 10.0  # seconds without a heartbeat after which a process of another host counts as dead
+STARTING = 300.0  # the same for an existing process of this host: compiling can delay heartbeats for long
+
+
+def exists(pid: int) -> bool:
+    """Return whether the process with this id is alive on this host; a zombie is not."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    with suppress(OSError, IndexError):  # a system without /proc, or the process has ended meanwhile
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]  # a name may hold anything
+        return state not in ("Z", "X")
+    return True
+
+
+def place(holder: str) -> tuple[str, str]:
+    """Return host and id of a process named `host:pid:...`; the id is empty if the name is damaged."""
+    host, *pid = holder.rsplit(":", 2)
+    return host, pid[0] if pid else ""
+
+
+def is_dead(holder: str) -> bool:
+    """Return whether a process named `host:pid:...` is of this host and does not exist any more."""
+    host, pid = place(holder)
+    return host == socket.gethostname() and re.fullmatch(r"\d{1,9}", pid) is not None and not exists(int(pid))
+
+
+def leader(store: Store, league: str) -> str | None:
+    """Return the league's manager, `host:pid:manager`; None if there is none, or if it has died on this host."""
+    found = store.leader(league)
+    return None if found is None or not isinstance(found[0], str) or is_dead(found[0]) else found[0]
+
+
+def processes(store: Store, league: str) -> list[Worker]:
+    """Return the live processes of a league: existing ones on this host, and those of other hosts seen recently."""
+    here, now = socket.gethostname(), store.now()
+    return [w for w in store.workers(league, STARTING) if (exists(w.pid) if w.host == here else now - w.seen < SEEN)]

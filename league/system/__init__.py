@@ -1,0 +1,1 @@
+"""The machine and the process: devices, memory, environment variables, versions, output streams."""

@@ -1,0 +1,1 @@
+"""Training turns: learners, matchups, rollouts and updates, and what a turn writes."""

@@ -1,0 +1,187 @@
+"""Learner pool: the learners of a league's players in one process, their counters, checkpoints and restoration."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from zlib import crc32
+
+from agents.devices.distributed import SINGLE_PROCESS, Communicator
+from arenas.arena import Arena
+from league.config.experiment import Config
+from league.scheduling import player_resets, population
+from league.snapshots.codec import freeze
+from league.state.jobs import TrainingTurn
+from league.training import reward_shaping
+from league.training.learner_factory import new_learner, reset_learner, settings_of
+from league.training.update_pool import UpdatePool
+from matchmaking.pbt import explore
+from matchmaking.roles import Role
+from storage.blobs import arrays
+from storage.records import ArenaKey, Checkpoint, Meeting, Player, Snapshot
+from storage.store import Store
+
+
+@dataclass(frozen=True)
+class Counters:
+    """Progress of a player, as in the row of its newest checkpoint."""
+
+    iteration: int = 0
+    steps: int = 0  # decisions × worlds from which it learnt
+    seconds: float = 0.0  # of training
+
+
+class LearnerPool:
+    """Learners of all players of a league. The store's checkpoints are authoritative for their state."""
+
+    def __init__(self, config: Config, arena: Arena, players: Sequence[Player], comm: Communicator = SINGLE_PROCESS):
+        self.config, self.arena, self.comm = config, arena, comm
+        self.league = players[0].league
+        self.players = {player.name: player for player in players}
+        self.learners = {player.name: new_learner(config, arena, player, comm) for player in players}
+        self.counters = {player.name: Counters() for player in players}
+        self.histories: Mapping[str, list[Snapshot]] = {}  # of the players of the turn, oldest first
+        self.updates = UpdatePool(list(self.learners.values()))
+        self._annealing = {name: self._new_annealing() for name in self.players}
+        self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners' states equal
+        self._log: list[Meeting] = []  # the part of the store's training games that was read
+
+    def role(self, name: str) -> Role:
+        """Return a player's role, with all fields set."""
+        return self.config.role(self.players[name].role)
+
+    def resting(self, turn: TrainingTurn) -> list[str]:
+        """Return the players of the turn that play without learning and whose critics may learn.
+
+        Paused players, and players whose role never learns, are left out: their critics do not change.
+        """
+        rest = [name for name in turn.present if name and name not in turn.learners and self.role(name).learns]
+        return [name for name in rest if self.players[name].paused is None]
+
+    def spent(self, turn: TrainingTurn) -> bool:
+        """Return whether the group has used up its budget; `LeagueState.spent` computes the same from the store."""
+        total = sum if self.config.training.schedule.sums_counts else max
+        at = [self.counters[name] for name in turn.present if name]
+        seconds = 0.0 if self.config.deterministic else total([c.seconds for c in at])
+        return self.config.budget.spent(seconds, total([c.steps for c in at]))
+
+    def meetings(self, store: Store) -> list[Meeting]:
+        """Return the results of all training games in the store."""
+        self._log += store.meetings(self.league, self._log[-1].id if self._log else 0)
+        return self._log
+
+    # The weight of the dense reward ----------------------------------------------------------------------------------
+
+    def shaping(self, name: str) -> float:
+        """Return the present weight of a player's reward shaping."""
+        if annealing := self._annealing[name]:
+            return annealing.weight
+        start = player_resets.initial_policy_since(self.role(name), self.config.seed, name, self.histories[name])
+        return reward_shaping.by_steps(self.config.training, self.counters[name].steps - start)
+
+    def note(self, name: str, figures: Mapping[str, float]) -> None:
+        """Update the shaping weight with the metrics of an iteration, if it follows success."""
+        if annealing := self._annealing[name]:
+            annealing.note(figures)
+
+    def _new_annealing(self) -> reward_shaping.SuccessAnnealing | None:
+        return reward_shaping.make_annealing(self.config.training, len(self.arena.teams))
+
+    # Saved and brought back ------------------------------------------------------------------------------------------
+
+    def restore(self, store: Store, turn: TrainingTurn) -> bool:
+        """Load the checkpoints from which the turn starts; return whether the state of any player has changed."""
+        self._at = self.comm.broadcast(self._at)
+        self.players = {player.name: player for player in store.players(self.league)}  # one may have been paused
+        self.histories = {name: store.snapshots(self.league, name) for name in turn.present if name}
+        moved = False
+        for name, digest in turn.bases.items():
+            if digest and (digest != self._at[name] or turn.retry):
+                self._load(store, name, digest, turn.retry)
+                moved = True
+            self._at[name] = digest
+            kept = store.checkpoint(self.league, name)
+            self.counters[name] = Counters(kept.iteration, kept.step, kept.seconds) if kept else Counters()
+        return moved
+
+    def _load(self, store: Store, name: str, digest: str, retry: int) -> None:
+        state = arrays.from_bytes(store.blobs.get(digest))
+        self._move(name, self._initial_values(name) | population.read(state, self._movable))
+        self.learners[name].load(state)
+        if annealing := self._annealing[name]:
+            annealing.load(state)
+        if retry:
+            self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{retry}".encode()))
+
+    def checkpoint(self, store: Store, name: str, key: ArenaKey) -> Checkpoint:
+        """Return the row of a player's present checkpoint; its bytes are stored, and the row is still to be written."""
+        at, annealing = self.counters[name], self._annealing[name]
+        moved = population.written(self.moved(name))
+        state = self.learners[name].state() | moved | (annealing.state() if annealing else {})
+        digest = store.blobs.put(arrays.to_bytes(state))
+        return Checkpoint(self.league, name, digest, at.steps, at.iteration, at.seconds, key)
+
+    def written(self, checkpoints: Sequence[Checkpoint]) -> None:
+        """Note that these checkpoints are in the store now, and equal the learners' states."""
+        self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
+
+    def freeze(self, name: str) -> bytes:
+        """Encode a player's present actors as bytes, which later updates cannot change."""
+        policies = self.learners[name].policies()
+        return freeze([{key: tensor.cpu().numpy() for key, tensor in policy.items()} for policy in policies])
+
+    # Going on from others --------------------------------------------------------------------------------------------
+
+    def take_over(self, name: str, source: str) -> None:
+        """Copy another player's actors to a player, and its shaping weight if it follows success and is lower.
+
+        The player keeps its critic, optimisers and random numbers.
+        """
+        state, agents = self.learners[source].state(), len(self.learners[name].actors)
+        self.learners[name].warm_start([(state, i) for i in range(agents)], None)
+        mine, other = self._annealing[name], self._annealing[source]
+        if mine and other:
+            mine.follow(other)
+
+    def copy(self, store: Store, turn: TrainingTurn) -> bool:
+        """Make the turn's copies of population based training; return whether there are any.
+
+        A player that copies continues from the whole state of the other one, with hyperparameters and random numbers of
+        its own, which follow from the seed, its name and its iteration.
+        """
+        for name, (source, digest, _) in turn.copies.items():
+            state, at = arrays.from_bytes(store.blobs.get(digest)), self.counters[name].iteration
+            other_values = self._initial_values(source) | population.read(state, self._movable)
+            rng = population.decision_rng(self.config.seed, name, at, "explore")
+            pbt = self.config.training.pbt
+            self._move(name, explore(self.moved(name), other_values, self._initial_values(name), pbt, rng))
+            self.learners[name].load(state)
+            self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{at}/copy".encode()))
+            other = self._new_annealing()
+            if (mine := self._annealing[name]) and other:
+                other.load(state)
+                mine.follow(other)
+        return bool(turn.copies)
+
+    def moved(self, name: str) -> dict[str, float]:
+        """Return the present values of a player's movable hyperparameters."""
+        return population.hyperparameters(self.learners[name].config, self._movable)
+
+    def _initial_values(self, name: str) -> dict[str, float]:
+        """Return the values of the movable hyperparameters in the player's settings."""
+        return population.hyperparameters(settings_of(self.config, self.players[name]), self._movable)
+
+    @property
+    def _movable(self) -> tuple[str, ...]:
+        pbt = self.config.training.pbt
+        return () if pbt.ready is None else pbt.hyperparameters
+
+    def _move(self, name: str, moved: Mapping[str, float]) -> None:
+        """Set a player's hyperparameters; its learner is replaced, because they are part of compiled programs."""
+        if moved.items() - self.moved(name).items():
+            self.learners[name] = new_learner(self.config, self.arena, self.players[name], self.comm, moved)
+
+    def reset_learner(self, store: Store, name: str, source: Snapshot) -> None:
+        """Reset a player at the end of its generation to a snapshot's actors and an otherwise initial state."""
+        learner, player, at = self.learners[name], self.players[name], self.counters[name].iteration
+        reset_learner(learner, self.config, self.arena, player, store, source, at, self.comm)
+        if self.role(name).reset == "initial":
+            self._annealing[name] = self._new_annealing()
