@@ -1,115 +1,95 @@
-"""How fast arenas are, and what their contacts ask of the solver. Prints each as it goes and writes JSON.
+"""Speed of arenas, and the work that their contacts cause in the solver. Prints each result and writes JSON.
 
-    python benchmarks/arenas.py --out benchmarks/results/arenas-cpu.json
-    python benchmarks/arenas.py --engines warp c --worlds 4096 16384 --out benchmarks/results/arenas-h100.json
-    python benchmarks/arenas.py --league runs/rovers --engines warp --worlds 4096 --out benchmarks/results/trained.json
+    python -m benchmarks.arenas --out benchmarks/results/arenas-cpu.json
+    python -m benchmarks.arenas --engines warp c --worlds 4096 16384 --out benchmarks/results/arenas-h100.json
+    python -m benchmarks.arenas --league runs/rovers --engines warp --worlds 4096 --out trained.json
 
-For every arena, engine and number of worlds, each in a process of its own:
+Each combination of arena, engine and number of worlds runs in a process of its own and gives:
 
-- environment steps/s (control steps) of the whole step: policies of both teams, observation, reward, ends, new starts,
-  in one compiled rollout as training has it; and of the bare engine that replays the same controls from the same states
-  right after it. The two take turns over `--repeats` stretches of play; `ratio` is whole over bare, of each pair, by
-  the wall's clock and by CPU time.
-- contacts, constraint rows and solver iterations of every substep of that play: mean, 99.99th percentile, most.
-- `caps`: how far an iteration cap leads away from a converged solve over one control step.
-- memory, voids, and how often episodes ended.
-- with `--kernels`, on a GPU: which of its kernels the bare engine spent its time in, over one stretch.
+- `steps_per_second`: control steps/s of a whole rollout as in training (policies of all teams, observation, reward,
+  ends and new starts, compiled as one program), and of the bare engine, which replays the same controls from the same
+  states directly afterwards. Both alternate over `--repeats` stretches of play; `ratio` is bare / whole in seconds of
+  each pair, by wall-clock time and by CPU time.
+- `substeps`: contacts, constraint rows and solver iterations of every substep: mean, 99.99th percentile, maximum.
+- `caps`: the error that a cap on solver iterations causes over one control step, compared with a converged solve.
+- `memory`, and `ends`: how many episodes terminated, were truncated or void.
+- `kernels`, with `--kernels` on a GPU: the GPU kernels in which the bare engine spends its time.
 
-Who plays: each team's script (`--scripts`, the first that it knows) and beside it an untrained network, so that both
-are paid for; with `--league` the newest snapshots of a league, in its own arena.
+Each robot is controlled by a script (`--scripts`, the first that its team knows), and an untrained network is evaluated
+beside it, so that the time of both is measured. With `--league`, the newest snapshots of a league play in its arena.
 """
 
 import argparse
 import json
 import multiprocessing
 import resource
-import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-# Not this folder, whose arenas.py would hide the package of that name.
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from league.environment import prepare  # noqa: E402
+from league.system.environment import prepare
 
 prepare()  # before jax reads the environment
 
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
+import jax
+import jax.numpy as jnp
+import numpy as np
 
-import arenas  # noqa: E402
-from agents.bridge import to_jax  # noqa: E402
-from agents.networks import Actor  # noqa: E402
-from agents.policy import Crew, crew  # noqa: E402
-from agents.rollout import make_reset, make_rollout, scripts_of  # noqa: E402
-from agents.settings import Architecture, HappoConfig  # noqa: E402
-from arenas.arena import Arena  # noqa: E402
-from arenas.errors import ArenaError  # noqa: E402
-from benchmarks.kernels import profiled  # noqa: E402
-from benchmarks.record import commit, machine, spread, tail  # noqa: E402
-from benchmarks.replay import Accelerated, Pair, cap_errors, counts  # noqa: E402
-from league.config import experiment as configuration  # noqa: E402
-from league.policies import seat, thaw  # noqa: E402
-from league.standing import Standing  # noqa: E402
-from league.versions import versions  # noqa: E402
-from storage.store import Store  # noqa: E402
+import arenas
+from agents.bridge import to_jax
+from agents.policy.jax_policy import PolicyStack, stack_policies
+from agents.policy.networks import Actor
+from agents.rollout.rollout import make_reset, make_rollout, scripts_for
+from agents.settings import Architecture, HappoConfig
+from arenas.arena import Arena
+from arenas.errors import ArenaError
+from benchmarks.kernels import profiled
+from benchmarks.replay import Accelerated, Pair, cap_errors, counts
+from league.config import experiment as configuration
+from league.snapshots.codec import seat, thaw
+from league.state.league_state import LeagueState
+from scripts.record import make_parser, run_info, spread, tail, write
+from storage.store import Store
 
-CAPS = [
-    (4, 10),
-    (6, 10),
-    (8, 10),
-    (10, 20),
-    (10, 4),
-    (12, 4),
-    (14, 4),
-    (16, 4),
-    (16, 10),
-    (20, 4),
-]  # line-search steps last
+# (solver iterations, line-search steps)
+CAPS = [(4, 10), (6, 10), (8, 10), (10, 20), (10, 4), (12, 4), (14, 4), (16, 4), (16, 10), (20, 4)]
 
 
 def main() -> None:
-    """Measure and write the JSON after each."""
+    """Measure each combination and write the JSON after it."""
     args = arguments()
-    result = {
-        "command": " ".join(["python", *sys.argv]), "commit": args.commit or commit(), "machine": machine(),
-        "versions": versions(), "arenas": [],
-    }  # fmt: skip
+    result = {**run_info(args.commit), "arenas": []}
     every = [(name, engine, worlds) for name in names(args) for engine in args.engines for worlds in args.worlds]
     for name, engine, worlds in every:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
             found = alone.submit(measure, args, name, engine, worlds).result()
         print(json.dumps(found, indent=1), flush=True)
         result["arenas"].append(found)
-        if args.out:
-            args.out.write_text(json.dumps(result, indent=1) + "\n")
+        write(result, args.out)
 
 
 def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arenas", nargs="+", help="those to measure (default: all that come with the league)")
+    """Parse the command line."""
+    parser = make_parser(__doc__)
+    parser.add_argument("--arenas", nargs="+", help="default: all that come with the league")
     parser.add_argument("--engines", nargs="+", default=["auto"], help="auto, c, jax, warp")
     parser.add_argument("--worlds", type=int, nargs="+", default=[256])
-    parser.add_argument("--decisions", type=int, default=32, help="of a stretch of play")
-    parser.add_argument("--repeats", type=int, default=8, help="stretches of play that are timed")
-    parser.add_argument("--warm", type=float, default=8.0, help="seconds of play before the first of them")
-    parser.add_argument("--scripts", nargs="+", default=["pusher", "trot", "random"], help="who plays, by preference")
-    parser.add_argument("--hidden", type=int, nargs="+", default=[128, 128], help="of the networks beside scripts")
-    parser.add_argument("--league", type=Path, help="a league's store: its newest snapshots play, in its arena")
-    parser.add_argument("--league-name", help="which league of the store, if it has several")
-    parser.add_argument("--no-caps", action="store_true", help="leave the solver's caps out")
-    parser.add_argument("--kernels", type=int, default=0, help="tell so many of a GPU's kernels, the longest")
-    parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--decisions", type=int, default=32, help="in a stretch of play")
+    parser.add_argument("--repeats", type=int, default=8, help="timed stretches of play")
+    parser.add_argument("--warm", type=float, default=8.0, help="seconds of play before the first timed stretch")
+    parser.add_argument("--scripts", nargs="+", default=["pusher", "trot", "random"], help="preferred first")
+    parser.add_argument("--hidden", type=int, nargs="+", default=[128, 128], help="of the untrained networks")
+    parser.add_argument("--league", type=Path, help="store of a league whose newest snapshots play in its arena")
+    parser.add_argument("--league-name", help="the league of the store, if it has several")
+    parser.add_argument("--no-caps", action="store_true", help="skip the caps on solver iterations")
+    parser.add_argument("--kernels", type=int, default=0, help="list this many GPU kernels, the longest first")
     return parser.parse_args()
 
 
 def names(args: argparse.Namespace) -> list[str]:
-    """The arenas to measure; those without bodies have no engine to compare with."""
+    """Arenas to measure; arenas without bodies have no engine to compare with."""
     if args.league:
         with Store.open(args.league) as store:
             return [configuration.loads(store.league(league(args, store)).config).arena.name]
@@ -117,7 +97,7 @@ def names(args: argparse.Namespace) -> list[str]:
 
 
 def league(args: argparse.Namespace, store: Store) -> str:
-    """The league of the store that is meant."""
+    """Return the name of the store's league. Raises SystemExit if it is ambiguous."""
     found = [one.name for one in store.leagues()]
     if args.league_name is None and len(found) != 1:
         raise SystemExit(f"--league-name: {args.league} has {', '.join(found) or 'no leagues'}")
@@ -125,29 +105,29 @@ def league(args: argparse.Namespace, store: Store) -> str:
 
 
 def measure(args: argparse.Namespace, name: str, engine: str, worlds: int) -> dict:
-    """All about one arena on one engine with so many worlds."""
-    arena, crews, who = cast(args, name, engine, worlds)
+    """Measure one arena on one engine with one number of worlds."""
+    arena, stacks, who = load(args, name, engine, worlds)
     rollout = make_rollout(arena, args.decisions)
     began = time.perf_counter()
     now = make_reset(arena)(jax.random.split(jax.random.key(0), worlds))
-    now, _ = jax.block_until_ready(rollout(crews, now, jax.random.key(1)))
+    now, _ = jax.block_until_ready(rollout(stacks, now, jax.random.key(1)))
     compiling = time.perf_counter() - began
     decision = arena.timing.control_interval * arena.timing.hold
     for i in range(round(args.warm / decision / args.decisions)):
-        now, _ = rollout(crews, now, jax.random.key(1000 + i))
+        now, _ = rollout(stacks, now, jax.random.key(1000 + i))
     pair, steps = Pair(arena, worlds, args.decisions), worlds * args.decisions * arena.timing.hold
     took: dict[str, list[np.ndarray]] = {"whole": [], "bare": []}  # (wall, CPU) s
     seen: list[dict[str, np.ndarray]] = []
     ends = {"terminated": 0, "truncated": 0, "void": 0}
     play = None
-    for i in range(args.repeats + 1):  # the first one compiles
-        now, trajectory, play, whole, replayed = pair.stretch(partial(rollout, crews), now, jax.random.key(2000 + i))
+    for i in range(args.repeats + 1):  # the first stretch compiles
+        now, trajectory, play, whole, replayed = pair.stretch(partial(rollout, stacks), now, jax.random.key(2000 + i))
         if i == 0:
             continue
         took["whole"].append(whole)
         took["bare"].append(replayed)
-        told = pair.alone.told(play) if isinstance(pair.alone, Accelerated) else {}
-        seen.append(counts(arena.scene.model, play) | told)
+        own_counts = pair.alone.counts(play) if isinstance(pair.alone, Accelerated) else {}
+        seen.append(counts(arena.scene.model, play) | own_counts)
         for end in ends:
             cuts = trajectory.cut if end == "truncated" else False
             ends[end] += int((getattr(trajectory, end) & ~jnp.asarray(cuts)).sum())
@@ -175,41 +155,45 @@ def measure(args: argparse.Namespace, name: str, engine: str, worlds: int) -> di
     return found
 
 
-def cast(args: argparse.Namespace, name: str, engine: Any, worlds: int) -> tuple[Arena, dict[str, Crew], list[str]]:
-    """The arena, its crews of one group each, and who they are, team by team."""
+def load(
+    args: argparse.Namespace, name: str, engine: Any, worlds: int
+) -> tuple[Arena, dict[str, PolicyStack], list[str]]:
+    """Return the arena, each agent's policies for one group of worlds, and the name of each team's player."""
     if args.league:
         return trained(args, engine, worlds)
     arena = arenas.load(name, engine=engine, worlds=worlds)
-    crews, who = {}, []
+    stacks, who = {}, []
     config = HappoConfig(architecture=Architecture(hidden=tuple(args.hidden)))
     for team in arena.teams:
-        known = [script for script in args.scripts if script in arena.playable(team)]
+        known = [script for script in args.scripts if script in arena.playable_scripts(team)]
         if not known:
-            raise ArenaError(f"{name}: team {team.name} knows {', '.join(arena.playable(team))}, none of --scripts")
+            raise ArenaError(
+                f"{name}: team {team.name} knows {', '.join(arena.playable_scripts(team))}, none of --scripts"
+            )
         who.append(known[0])
         for agent in team.agents:
             actor = Actor(agent.observation_size, agent.action_size, config.architecture, config.initial_std)
-            number = list(scripts_of(arena, agent.kind)).index(known[0])
-            crews[agent.name] = crew([number], also=to_jax([actor.state_dict()]))
-    return arena, crews, who
+            number = list(scripts_for(arena, agent.kind)).index(known[0])
+            stacks[agent.name] = stack_policies([number], reserve=to_jax([actor.state_dict()]))
+    return arena, stacks, who
 
 
-def trained(args: argparse.Namespace, engine: Any, worlds: int) -> tuple[Arena, dict[str, Crew], list[str]]:
-    """The same with a league's newest snapshots."""
+def trained(args: argparse.Namespace, engine: Any, worlds: int) -> tuple[Arena, dict[str, PolicyStack], list[str]]:
+    """Return the same as `load`, with the newest snapshots of a league."""
     with Store.open(args.league) as store:
         title = league(args, store)
         arena = configuration.loads(store.league(title).config).arena.build(engine=engine, worlds=worlds)
-        standing = Standing.of(store, title)
-        first = {player.team: player for player in reversed(standing.players)}
-        newest = [standing.history(first[team].name)[-1] for team in range(len(arena.teams))]
+        state = LeagueState.of(store, title)
+        first = {player.team: player for player in reversed(state.players)}
+        newest = [state.history(first[team].name)[-1] for team in range(len(arena.teams))]
         return arena, seat(arena.teams, [[thaw(store, s, arena)] for s in newest]), [s.name for s in newest]
 
 
 def memory() -> dict:
-    """MB that this process has held at most: on the host and, by jax's count, on the device."""
+    """Peak memory of this process in MB: on the host and, as counted by JAX, on the device."""
     found = {"host_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)}
-    told = jax.local_devices()[0].memory_stats() or {}
-    return found | ({"device_mb": round(told["peak_bytes_in_use"] / 2**20)} if "peak_bytes_in_use" in told else {})
+    stats = jax.local_devices()[0].memory_stats() or {}
+    return found | ({"device_mb": round(stats["peak_bytes_in_use"] / 2**20)} if "peak_bytes_in_use" in stats else {})
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""HAPPO's update of one team once more, in plain JAX and compiled whole: what `Learner.update` is compared with.
+"""HAPPO's update of one team in plain JAX, compiled as one program: the reference for the speed of `Learner.update`.
 
-The default learner alone: no LayerNorm, squashing, shared actors, running observation statistics, step sizes that
-change, or agents that leave the game, and a batch without void decisions. It so needs none of the masks that
-`agents/happo.py` has, which makes it the harder one to keep up with. T decisions, N worlds, B = T·N.
+Only the default learner: no LayerNorm, squashing, shared actors, running observation statistics, changing learning
+rates, or agents that leave the game, and a batch without void decisions. It therefore needs none of the masks in
+`agents/learner/happo.py`, which makes it a faster reference. T decisions, N worlds, B = T·N.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,28 +16,28 @@ import torch
 from jax import Array
 
 from agents.batch import Batch
-from agents.happo import Learner, draw_seed
-from agents.optimise import orders
+from agents.learner.happo import Learner, draw_seed
+from agents.learner.minibatches import minibatch_orders
 from agents.settings import VARIANCE_FLOOR, HappoConfig
 
 Params = dict[str, Array]
 Figures = dict[str, Array]
 ACTIVATIONS = {"tanh": jnp.tanh, "relu": jax.nn.relu, "elu": jax.nn.elu}
-BETAS, EPSILON, NORM_DECAY = (0.9, 0.999), 1e-5, 0.99999  # of Adam, and of the value normaliser
+BETAS, EPSILON, NORM_DECAY = (0.9, 0.999), 1e-5, 0.99999  # of Adam (betas, epsilon) and of the value normaliser
 
 
 class Network(NamedTuple):
-    """An actor or a critic under torch's parameter names, and what Adam knows of it."""
+    """An actor or a critic under torch's parameter names, with Adam's state."""
 
     weights: Params
-    buffers: Params  # what is not learnt
-    first: Params  # moments
+    buffers: Params  # not learnt
+    first: Params  # moments of Adam
     second: Params
     steps: Array  # ()
 
 
 class Share(NamedTuple):
-    """What an actor learns from, as `agents.batch.Share`, where every decision counts."""
+    """An actor's part of a batch, as `agents.batch.Share`, in which every decision counts."""
 
     observations: Array  # (B, obs)
     actions: Array  # (B, act)
@@ -46,21 +46,28 @@ class Share(NamedTuple):
 
 
 class Team(NamedTuple):
-    """All that an update changes."""
+    """Everything that an update changes."""
 
     actors: tuple[Network, ...]
     critic: Network
-    norm: Array  # (3,) of the value normaliser: sums of returns and their squares, and the sum of weights
+    norm: Array  # (3,) of the value normaliser: weighted sums of returns and their squares, and the sum of weights
 
 
 def team_of(learner: Learner) -> Team:
-    """A learner's team as it is now. Raises ValueError where it has settings that are not known here."""
+    """Return a learner's present team. Raises ValueError for settings that this module does not support."""
     c, state = learner.config, learner.state()
     architecture = c.architecture
     kinds = architecture.layer_norm, architecture.squash, architecture.state_std, architecture.recurrent
     if any(kinds) or c.method != "happo":
         raise ValueError("the update in JAX knows plain Gaussian policies and HAPPO only")
-    if c.share_actors or c.normalise_observations or c.kl_stop or c.kl_step or c.decay_steps or not c.value_norm:
+    if (
+        c.share_actors
+        or c.normalise_observations
+        or c.target_kl
+        or c.desired_kl
+        or c.lr_decay_steps
+        or not c.value_norm
+    ):
         raise ValueError("the update in JAX knows the default learner only")
     if c.precision != "float32":
         raise ValueError("the update in JAX computes in float32 only")
@@ -84,36 +91,36 @@ def _network(state: Mapping[str, np.ndarray], name: str) -> Network:
 
 
 def batch_of(batch: Batch) -> Batch:
-    """The same batch in JAX."""
+    """Return the same batch as JAX arrays."""
     return jax.tree.map(lambda tensor: jnp.asarray(tensor.cpu().numpy()), batch)
 
 
 def permutations_of(learner: Learner, size: int) -> Array:
-    """(agents + 1, epochs, B) The permutations that the learner's next update will draw: each actor's, the critic's."""
-    rng, dice = torch.Generator(), torch.Generator(learner.device)
+    """Return the permutations (agents + 1, epochs, B) of the learner's next update: the actors', then the critic's."""
+    rng, on_device = torch.Generator(), torch.Generator(learner.device)
     rng.set_state(learner.rng.get_state())
-    dice.manual_seed(draw_seed(rng))
-    drawn = orders([size] * (len(learner.actors) + 1), learner.config.epochs, dice)
+    on_device.manual_seed(draw_seed(rng))
+    drawn = minibatch_orders([size] * (len(learner.actors) + 1), learner.config.epochs, on_device)
     critic, *actors = (np.stack([order.cpu().numpy() for order in each]) for each in drawn)
     return jnp.asarray(np.stack([*actors, critic]))
 
 
 def gap(one: Team, other: Team) -> float:
-    """The largest difference of any weight of the actors and the critic."""
+    """Return the largest difference of any weight of the actors and the critic."""
     weights = ([network.weights for network in (*team.actors, team.critic)] for team in (one, other))
     return max(float(jnp.abs(a - b).max()) for a, b in zip(*map(jax.tree.leaves, weights), strict=True))
 
 
 def draw(key: Array, parts: int, epochs: int, size: int) -> Array:
-    """(parts, epochs, B) Fresh permutations."""
+    """Draw permutations (parts, epochs, B)."""
     keys = jax.random.split(key, parts * epochs)
     return jax.vmap(lambda key: jax.random.permutation(key, size))(keys).reshape(parts, epochs, size)
 
 
 def make_update(c: HappoConfig) -> Callable[[Team, Batch, Array], tuple[Team, Figures]]:
-    """`update(team, batch, permutations) -> (team, figures)`, to be compiled by who calls it.
+    """Return `update(team, batch, permutations) -> (team, figures)`, which the caller compiles.
 
-    The figures are means over the update, and `finite`: whether they and all weights and moments are.
+    The figures are means over the update, and `finite`, true if they and all weights and moments are finite.
     """
 
     def update(team: Team, batch: Batch, permutations: Array) -> tuple[Team, Figures]:
@@ -125,22 +132,23 @@ def make_update(c: HappoConfig) -> Callable[[Team, Batch, Array], tuple[Team, Fi
         returns = A + values
         A_hat = ((A - A.mean()) / (A.std() + 1e-5)).reshape(-1)
 
-        M, actors, said = jnp.ones_like(A_hat), [], []
+        M, actors, per_actor = jnp.ones_like(A_hat), [], []
         for i, actor in enumerate(team.actors):
             rows = _flat((batch.observations[i], batch.actions[i], batch.log_probs[i]))
             share = Share(*rows, M * A_hat)
-            moved, told = _descend(actor, partial(_surrogate, c=c), share, permutations[i], c, c.lr)
+            moved, figures = _descend(actor, partial(_surrogate, c=c), share, permutations[i], c, c.lr)
             M *= jnp.exp(_log_prob(moved, c, share) - _log_prob(actor, c, share))
             actors.append(moved)
-            said.append(told)
+            per_actor.append(figures)
 
         seen, old, returns = _flat((seen, predictions, returns))
         norm, target = _targets(team.norm, returns[_rows(permutations[-1], c)])
-        critic, told = _descend(
+        critic, of_critic = _descend(
             team.critic, partial(_value_loss, c=c), (seen, old), permutations[-1], c, c.critic_lr, (target,)
         )
         after = Team(tuple(actors), critic, norm)
-        figures = jax.tree.map(lambda *x: jnp.stack(x).mean(), *said) | {f"critic_{k}": v for k, v in told.items()}
+        figures = jax.tree.map(lambda *x: jnp.stack(x).mean(), *per_actor)
+        figures |= {f"critic_{k}": v for k, v in of_critic.items()}
         finite = jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves((after, figures))]).all()
         return after, figures | {"finite": finite}
 
@@ -153,21 +161,21 @@ def make_update(c: HappoConfig) -> Callable[[Team, Batch, Array], tuple[Team, Fi
 def _descend(
     network: Network, loss: Callable, data: Any, permutation: Array, c: HappoConfig, lr: float, more: tuple = ()
 ) -> tuple[Network, Figures]:
-    """Epochs × minibatches steps of Adam on rows of `data`; `more` has its own minibatches as its first axis."""
+    """Do epochs × minibatches steps of Adam on rows of `data`; `more` has minibatches as its first axis."""
     minibatches = (*jax.tree.map(lambda x: x[_rows(permutation, c)], tuple(data)), *more)
 
     def step(network: Network, rows: tuple) -> tuple[Network, Figures]:
-        (_, told), gradient = jax.value_and_grad(loss, has_aux=True)(network.weights, network, rows)
+        (_, figures), gradient = jax.value_and_grad(loss, has_aux=True)(network.weights, network, rows)
         norm = jnp.sqrt(sum((g**2).sum() for g in gradient.values()))
         gradient = {k: g * jnp.minimum(1.0, c.max_grad_norm / (norm + 1e-6)) for k, g in gradient.items()}
-        return _adam(network, gradient, lr), told | {"grad_norm": norm}
+        return _adam(network, gradient, lr), figures | {"grad_norm": norm}
 
-    network, told = jax.lax.scan(step, network, minibatches)
-    return network, {name: values.mean() for name, values in told.items()}
+    network, figures = jax.lax.scan(step, network, minibatches)
+    return network, {name: values.mean() for name, values in figures.items()}
 
 
 def _adam(network: Network, gradient: Params, lr: float) -> Network:
-    """Kingma and Ba (2015), rounded as torch rounds it."""
+    """Do a step of Adam (Kingma and Ba, 2015), with torch's order of rounding."""
     steps = network.steps + 1
     first = {k: m + (1 - BETAS[0]) * (gradient[k] - m) for k, m in network.first.items()}
     second = {k: BETAS[1] * v + (1 - BETAS[1]) * gradient[k] ** 2 for k, v in network.second.items()}
@@ -177,12 +185,12 @@ def _adam(network: Network, gradient: Params, lr: float) -> Network:
 
 
 def _rows(permutation: Array, c: HappoConfig) -> Array:
-    """(epochs · minibatches, B / minibatches) Row numbers of each minibatch."""
+    """Return row numbers of each minibatch, (epochs · minibatches, B / minibatches)."""
     return permutation.reshape(c.epochs * c.minibatches, -1)
 
 
 def _flat(arrays: Sequence[Array]) -> list[Array]:
-    """(T, N, ...) as (B, ...)."""
+    """Reshape arrays (T, N, ...) to (B, ...)."""
     return [x.reshape(-1, *x.shape[2:]) for x in arrays]
 
 
@@ -190,20 +198,20 @@ def _flat(arrays: Sequence[Array]) -> list[Array]:
 
 
 def _surrogate(weights: Params, network: Network, rows: tuple, c: HappoConfig) -> tuple[Array, Figures]:
-    """`actors.surrogate_loss`."""
+    """Compute the loss of `agents.learner.actor_learner.surrogate_loss`."""
     share = Share(*rows)
     network = network._replace(weights=weights)
     log_ratio = _log_prob(network, c, share) - share.log_probs
     ratio = jnp.exp(log_ratio)
     surrogate = jnp.minimum(ratio * share.MA, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * share.MA)
     entropy = (0.5 + 0.5 * jnp.log(2 * jnp.pi) + jnp.log(_deviation(network))).sum()
-    loss = -surrogate.mean() - c.entropy * entropy
+    loss = -surrogate.mean() - c.entropy_coef * entropy
     kl = (ratio - 1 - log_ratio).mean()
     return loss, {"policy_loss": loss, "entropy": entropy, "ratio": ratio.mean(), "kl": kl}
 
 
 def _value_loss(weights: Params, network: Network, rows: tuple, c: HappoConfig) -> tuple[Array, Figures]:
-    """`critics.value_loss`."""
+    """Compute the loss of `agents.learner.critic_learner.value_loss`."""
     seen, old, target = rows
     value = _value(network._replace(weights=weights), c, seen)
     clipped = old + jnp.clip(value - old, -c.clip, c.clip)
@@ -217,7 +225,7 @@ def _value_loss(weights: Params, network: Network, rows: tuple, c: HappoConfig) 
 
 
 def _log_prob(network: Network, c: HappoConfig, share: Share) -> Array:
-    """Log densities (B,) of the actions."""
+    """Compute log densities (B,) of the actions."""
     std = _deviation(network)
     z = (share.actions - _forward(network, "mean", c, share.observations)) / std
     return (-0.5 * z**2 - jnp.log(std) - 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
@@ -232,7 +240,7 @@ def _value(network: Network, c: HappoConfig, seen: Array) -> Array:
 
 
 def _forward(network: Network, head: str, c: HappoConfig, x: Array) -> Array:
-    """Trunk and head, in full single precision as torch has it."""
+    """Evaluate trunk and head, in full single precision as torch does."""
     weights, fixed = network.weights, network.buffers
     x = (x - fixed["trunk.observation_mean"]) / jnp.sqrt(jnp.maximum(fixed["trunk.observation_var"], VARIANCE_FLOOR))
     x = jnp.clip(x, -fixed["trunk.observation_clip"], fixed["trunk.observation_clip"])
@@ -249,9 +257,9 @@ def _forward(network: Network, head: str, c: HappoConfig, x: Array) -> Array:
 
 
 def _advantages(batch: Batch, values: Array, next_values: Array, c: HappoConfig) -> Array:
-    """`returns.advantages` (T, N)."""
+    """Compute `agents.learner.advantages.advantages` (T, N)."""
     deltas = batch.rewards + c.gamma * next_values * ~batch.terminated - values
-    going_on = c.gamma * c.lam * ~(batch.terminated | batch.truncated)
+    going_on = c.gamma * c.gae_lambda * ~(batch.terminated | batch.truncated)
 
     def back(advantage: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
         advantage = at[0] + at[1] * advantage
@@ -261,7 +269,7 @@ def _advantages(batch: Batch, values: Array, next_values: Array, c: HappoConfig)
 
 
 def _targets(norm: Array, returns: Array) -> tuple[Array, Array]:
-    """The value normaliser after minibatches of returns (S, b), and these normalised as each was just seen."""
+    """Update the value normaliser by minibatches of returns (S, b); return it and the normalised returns."""
 
     def see(norm: Array, returns: Array) -> tuple[Array, Array]:
         seen = jnp.stack([returns.mean(), (returns**2).mean(), jnp.ones(())])
@@ -273,7 +281,7 @@ def _targets(norm: Array, returns: Array) -> tuple[Array, Array]:
 
 
 def _statistics(norm: Array) -> tuple[Array, Array]:
-    """`ValueNorm.statistics`: mean and deviation (), in units of reward."""
+    """Compute `ValueNorm.statistics`: mean and standard deviation (), in units of reward."""
     weight = jnp.maximum(norm[2], 1e-12)
     mean = norm[0] / weight
     std = jnp.sqrt(jnp.maximum(norm[1] / weight - mean**2, 0.01))

@@ -1,4 +1,4 @@
-"""What a GPU does while something runs: its kernels, as torch's profiler sees those of a whole process, and graphs."""
+"""GPU kernels of this process, as seen by torch's profiler, and the graphs that Warp records."""
 
 import json
 import tempfile
@@ -12,15 +12,19 @@ from unittest.mock import patch
 import torch
 
 
-def profiled(verb: Callable[[], object]) -> dict:
-    """Seconds of kernels, copies and fills on the GPU, how many kernels ran, and how often the host launched any.
+def profiled(action: Callable[[], object]) -> dict:
+    """Profile the GPU while `action()` runs.
 
-    They may run at once: `seconds` has each one's own, `at_work` how long any of them ran. `by_name` has seconds and
-    number of runs of each kernel, the longest first. The profiler slows down the host.
+    The profiler slows down the host.
+
+    Returns:
+        `seconds` of all kernels, copies and fills added up; `at_work`, the seconds in which at least one of them ran,
+        because they may run at the same time; `kernels`, how many ran; `launches` by the host; `by_name`, seconds and
+        number of runs of each kernel, the longest first.
     """
     activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
     with torch.profiler.profile(activities=activities) as profile:
-        verb()
+        action()
         torch.cuda.synchronize()
     with tempfile.TemporaryDirectory() as folder:
         profile.export_chrome_trace(trace := str(Path(folder, "trace.json")))
@@ -42,7 +46,7 @@ def profiled(verb: Callable[[], object]) -> dict:
 
 
 def _covered(intervals: list[tuple[float, float]]) -> float:
-    """How long any of these intervals, each from and to, lasted."""
+    """Return the length of the union of intervals (begin, end)."""
     covered, until = 0.0, 0.0
     for begin, end in sorted(intervals):
         covered += max(0.0, end - max(begin, until))
@@ -52,7 +56,7 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
 
 @contextmanager
 def captures() -> Iterator[list[float]]:
-    """Seconds of each graph that Warp records meanwhile, which it does for buffers that it has not seen before."""
+    """Yield a list of the seconds of each graph that Warp records meanwhile; it records one for buffers new to it."""
     import warp
 
     took: list[float] = []

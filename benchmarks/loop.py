@@ -1,6 +1,6 @@
-"""The training loop of a league without the league, and how what `benchmarks/train.py` compares is timed.
+"""Training without a league: rollouts and updates, and the timing of what `benchmarks/train.py` compares.
 
-Parts that are compared take turns. Seconds are by the wall's clock and of CPU time, in this order.
+Parts that are compared alternate. Seconds are arrays (wall-clock, CPU).
 """
 
 import argparse
@@ -16,25 +16,25 @@ from jax import Array
 
 from agents.batch import Batch
 from agents.bridge import team_batch, to_jax
-from agents.happo import Learner
-from agents.policy import Crew
-from agents.rollout import Trajectory, Worlds, make_reset, make_rollout
-from benchmarks.record import spread
+from agents.learner.happo import Learner
+from agents.policy.jax_policy import PolicyStack
+from agents.rollout.rollout import Trajectory, Worlds, make_reset, make_rollout
 from benchmarks.replay import Pair, clocks
 from league.config.experiment import Config
-from league.create import players_of
-from league.policies import seat
-from league.studies import Studies, Study
-from league.train import Trainer
+from league.runtime.bootstrap import players_of
+from league.snapshots.codec import seat
+from league.training.trainer import Trainer
+from league.training.update_pool import UpdatePool, UpdateRequest
+from scripts.record import spread
 
-Verb = Callable[[Worlds, Array], tuple[Worlds, Trajectory]]  # goes on from worlds by one rollout, with this key
+Action = Callable[[Worlds, Array], tuple[Worlds, Trajectory]]  # continue from worlds by one rollout, with this key
 
 
 class Ground:
-    """An arena with so many worlds, its compiled rollout, and the loops that train in it."""
+    """An arena with a number of worlds, its compiled rollout, and the loops that train in it."""
 
     def __init__(self, config: Config, worlds: int, args: argparse.Namespace):
-        self.config = replace(config, training=replace(config.training, rollout=args.decisions))
+        self.config = replace(config, training=replace(config.training, rollout_length=args.decisions))
         self.worlds, self.args, self.repeats = worlds, args, args.repeats
         self.arena = self.config.arena.build(engine=self.config.engine, worlds=worlds)
         chunk = self.config.learner.sequence
@@ -43,31 +43,32 @@ class Ground:
 
     @cached_property
     def loop(self) -> "Loop":
-        """All teams learn from each other."""
+        """Training in which all teams learn from each other."""
         return Loop(self)
 
     @cached_property
     def pair(self) -> Pair:
-        """The bare engine beside it."""
+        """The bare engine that replays what was played."""
         return Pair(self.arena, self.worlds, self.args.decisions)
 
     def learners(self, seed: int = 1, **settings: Any) -> list[Learner]:
-        """Fresh learners of all teams, as a league makes them; `settings` are of the learner, where they differ."""
+        """Make learners of all teams as a league does; `settings` override those of the learner."""
         config = replace(self.config, seed=seed, learner=replace(self.config.learner, **settings))
-        return list(Trainer(config, self.arena, players_of(config, self.arena), self.worlds).squad.learners.values())
+        return list(Trainer(config, self.arena, players_of(config, self.arena), self.worlds).pool.learners.values())
 
 
 class Loop:
-    """Rollouts and updates of `Trainer.turn` without a store: all teams learn, or the first from `frozen` others.
+    """Rollouts and updates of `Trainer.turn` without a store.
 
-    `frozen` holds K times the learners of all teams, whose policies sit in K groups of worlds in every other team.
+    All teams learn, or only the first one against `frozen`: K lists of learners of all teams, whose policies play the
+    other teams in K groups of worlds.
     """
 
     def __init__(self, ground: Ground, frozen: list[list[Learner]] | None = None):
         self.ground, self.learners = ground, ground.learners()
         self.learning = self.learners[:1] if frozen else self.learners
-        self._studies = Studies(self.learning)
-        self._studies.assist(len(self.learning))  # as a league has it from its first seconds on
+        self._updates = UpdatePool(self.learning)
+        self._updates.start_workers(len(self.learning))  # as in a league after its first seconds
         self.frozen = [[to_jax(learner.policies()) for learner in teams] for teams in frozen or []]
         self.groups = len(self.frozen) or 1
         self.worlds = ground.worlds // self.groups * self.groups
@@ -78,41 +79,41 @@ class Loop:
         for _ in range(1 + round(ground.args.warm / (timing.control_interval * ground.steps))):
             self.play(self.roll)
 
-    def _seated(self) -> dict[str, Crew]:
-        """The crews of the policies as they are now."""
+    def _seated(self) -> dict[str, PolicyStack]:
+        """Return each agent's present policies for all groups of worlds."""
         seats = [[to_jax(learner.policies())] * self.groups for learner in self.learning]
         seats += [[teams[t] for teams in self.frozen] for t in range(len(seats), len(self.learners))]
         return seat(self.ground.arena.teams, seats)
 
     def batch(self, team: int, trajectory: Trajectory, worlds: slice | np.ndarray = slice(None)) -> Batch:
-        """What a team learns from."""
-        shaping = 1.0  # the whole dense reward, as at the start of a league
+        """Return the batch from which a team learns."""
+        shaping = 1.0  # the full dense reward, as at the start of a league
         return team_batch(trajectory, self.ground.arena.teams[team], team, worlds, shaping)
 
     def roll(self, now: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
-        """A rollout with the policies as they were seated last."""
+        """Do a rollout with the policies after the last update."""
         return self.ground.rollout(self.seated, now, key)
 
     def learn(self, now: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
-        """A rollout and the updates after it."""
+        """Do a rollout and the updates after it."""
         now, trajectory = self.roll(now, key)
         batches = [self.batch(team, trajectory) for team in range(len(self.learning))]
-        self._studies([Study(*each) for each in zip(self.learning, batches, strict=True)])
+        self._updates([UpdateRequest(*each) for each in zip(self.learning, batches, strict=True)])
         self.seated = self._seated()
         return now, trajectory
 
-    def play(self, how: Verb) -> np.ndarray:
-        """Go on by `roll` or `learn`; seconds (wall, CPU)."""
+    def play(self, how: Action) -> np.ndarray:
+        """Continue by `roll` or `learn`; return seconds (wall-clock, CPU)."""
         key = next(self._keys)
-        vars(self).pop("trajectory", None)  # training never has two of them
+        vars(self).pop("trajectory", None)  # training never holds two trajectories
         jax.block_until_ready((self.now, key))
         began = clocks()
         self.now, self.trajectory = jax.block_until_ready(how(self.now, key))
         jax.block_until_ready(self.seated)
         return clocks() - began
 
-    def beside_bare(self, how: Verb) -> dict:
-        """The same beside the bare engine."""
+    def beside_bare(self, how: Action) -> dict:
+        """Alternate `roll` or `learn` with the bare engine; return speeds and ratios."""
         took: dict[str, list[np.ndarray]] = {"whole": [], "bare": []}
         for _ in range(self.ground.repeats + 1):
             stretch = self.ground.pair.stretch(how, self.now, next(self._keys))
@@ -124,25 +125,25 @@ class Loop:
 
 
 def turns(parts: Mapping[str, Callable[[], np.ndarray]], repeats: int) -> dict[str, np.ndarray]:
-    """Seconds (repeats, 2), wall and CPU, of parts that take turns; their first ones compile and are left out."""
+    """Time alternating parts: seconds (repeats, 2), wall-clock and CPU, without the first round, which compiles."""
     took = np.array([[part() for part in parts.values()] for _ in range(repeats + 1)])[1:]
     return {name: took[:, i] for i, name in enumerate(parts)}
 
 
-def timed(verb: Callable[[], object], before: Callable[[], object] = lambda: None) -> np.ndarray:
-    """Seconds (wall, CPU) until all that it gives is there."""
+def timed(action: Callable[[], object], before: Callable[[], object] = lambda: None) -> np.ndarray:
+    """Return seconds (wall-clock, CPU) until all results of `action()` are ready."""
     before()
     began = clocks()
-    jax.block_until_ready(verb())
+    jax.block_until_ready(action())
     return clocks() - began
 
 
 def ratio(top: np.ndarray, bottom: np.ndarray) -> dict:
-    """Of seconds (repeats, 2): pair by pair, by the wall's clock and of CPU time."""
+    """Divide seconds (repeats, 2) pair by pair; return the ratios of wall-clock and of CPU time."""
     found = np.divide(top, bottom)
     return {"ratio": spread(found[:, 0]), "ratio_of_cpu_time": spread(found[:, 1])}
 
 
 def speeds(seconds: Mapping[str, np.ndarray], steps: int) -> dict:
-    """Control steps/s."""
+    """Return control steps/s of each part."""
     return {"steps_per_second": {name: spread(steps / each[:, 0], 0) for name, each in seconds.items()}}

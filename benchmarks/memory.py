@@ -1,4 +1,4 @@
-"""What training takes of memory while it goes on: the row `memory` of `benchmarks/train.py`."""
+"""Memory of long training: the row `memory` of `benchmarks/train.py`."""
 
 import os
 from pathlib import Path
@@ -8,16 +8,16 @@ import torch
 
 from benchmarks.loop import Ground
 
-SETTLED = 0.1  # share of the iterations after which all that is taken once has been taken
+SETTLED = 0.1  # share of the iterations after which one-time allocations are done
 GB = 1e9
 
 
 def memory(ground: Ground) -> dict:
-    """Memory after each of many iterations of rollout and updates of all teams.
+    """Measure memory after each of many iterations of rollout and updates of all teams.
 
-    On a GPU `device_gb` is the most that was in use there, by whatever process: allocators keep what they took once, so
-    that this is the peak of all that JAX, torch and Warp needed within an iteration. `ratio` is the resident set at
-    the end, mean of the last tenth, over that after the first tenth, mean of the second.
+    `device_gb` is the maximum in use on a GPU, by all processes. Allocators keep what they took once, so this is the
+    peak of what JAX, torch and Warp needed within an iteration. `ratio` is the mean resident set of the last tenth of
+    the iterations over that of the second tenth.
     """
     loop, count = ground.loop, ground.args.iterations
     resident, device = [], []
@@ -41,7 +41,7 @@ def memory(ground: Ground) -> dict:
 
 
 def _resident() -> int:
-    """Bytes of this process that are in memory."""
+    """Return the resident set size of this process in bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 

@@ -1,25 +1,25 @@
-"""How long matchmaking takes: probabilities over many policies, and the opponents of all worlds drawn by them.
+"""Time of opponent sampling: probabilities over many policies, and the opponents of all worlds drawn by them.
 
-    python benchmarks/opponents.py [--policies 1000] [--worlds 4096] [--repeats 50]
+    python -m benchmarks.opponents [--policies 1000] [--worlds 4096] [--repeats 50]
 
-Median and 95th percentile in milliseconds, of the rules that read win rates; of the mixtures of a payoff table, which
-are solved once a turn, for 50 and 200 snapshots.
+Prints median and 95th percentile in milliseconds: of the rules that read win rates, and of the mixtures of a payoff
+table for 50 and 200 snapshots, which a league solves once a turn.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
-from matchmaking.equilibrium import nash
-from matchmaking.meta import alpharank
+from matchmaking.metagame.alpharank import alpharank
+from matchmaking.metagame.nash import nash
 from matchmaking.opponents import alphastar, by_quality, delta_uniform, draw, gaussian, pfsp
+from scripts.record import make_parser, report, run_info
 
 
 def timed(action: Callable[[], object], repeats: int) -> dict[str, float]:
+    """Return the median and 95th percentile of `action()` in ms, after one call that is not counted."""
     action()
     took = []
     for _ in range(repeats):
@@ -30,13 +30,14 @@ def timed(action: Callable[[], object], repeats: int) -> dict[str, float]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    options.add_argument("--policies", type=int, default=1000)
-    options.add_argument("--worlds", type=int, default=4096)
-    options.add_argument("--repeats", type=int, default=50)
-    asked = options.parse_args()
+    """Measure every rule and print the JSON."""
+    parser = make_parser(__doc__)
+    parser.add_argument("--policies", type=int, default=1000)
+    parser.add_argument("--worlds", type=int, default=4096)
+    parser.add_argument("--repeats", type=int, default=50)
+    args = parser.parse_args()
     rng = np.random.default_rng(0)
-    n, x, own = asked.policies, rng.random(asked.policies), np.arange(asked.policies) % 2 == 0
+    n, x, own = args.policies, rng.random(args.policies), np.arange(args.policies) % 2 == 0
 
     def mixed() -> np.ndarray:
         mixture = alphastar(x, 0.5, own, ~own)
@@ -47,14 +48,14 @@ def main() -> None:
         "delta_uniform": partial(delta_uniform, n, 0.5), "pfsp": partial(pfsp, x), "gaussian": partial(gaussian, x),
         "openai_five": partial(by_quality, x), "alphastar": mixed,
     }  # fmt: skip
-    found: dict[str, object] = {"policies": n, "worlds": asked.worlds}
+    result: dict[str, object] = {"policies": n, "worlds": args.worlds}
     for name, rule in rules.items():
-        found[name] = timed(lambda rule=rule: draw(rule(), asked.worlds, rng), asked.repeats)
+        result[name] = timed(lambda rule=rule: draw(rule(), args.worlds, rng), args.repeats)
     for size in (50, 200):
         game = rng.normal(size=(size, size))
-        found[f"nash_{size}"] = timed(lambda game=game: nash(game - game.T), 3)
-        found[f"alpharank_{size}"] = timed(lambda game=game: alpharank(game - game.T), 3)
-    print(json.dumps(found, indent=1))
+        result[f"nash_{size}"] = timed(lambda game=game: nash(game - game.T), 3)
+        result[f"alpharank_{size}"] = timed(lambda game=game: alpharank(game - game.T), 3)
+    report({**run_info(args.commit), **result}, args.out)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
-"""What a process that trains does before it learns, and how long each part takes. Prints and writes JSON.
+"""Time of each part of a training process's start, up to the first learning step.
 
-    python benchmarks/phases.py --worlds 4096 --out benchmarks/results/phases-h200.json
+    python -m benchmarks.phases --worlds 4096 --out benchmarks/results/phases-h200.json
 
-A league is made as `league run` makes it; then a process does its first turns as a train worker does, once with a cache
-of compiled kernels that is new and empty and once with what that left. The parts follow each other up to the first
-learning step. `trace`, `lower` and `compile` are what JAX tells of all its programs, `compile` being what XLA takes or
-the reading of its cache. The first iteration has what is loaded, recorded or tuned when it is first used: how much
-longer it is than the second says what that costs.
+Prepares a league as `league run` does. Then a process does the first turns of a train worker: once with a new, empty
+cache of compiled kernels (cold), and once with the cache that the first left (warm). `trace`, `lower` and `compile` are
+JAX's own sums over all its programs; `compile` is XLA's compilation or the reading of its cache. The first iteration
+also loads, records or tunes what is used for the first time; the difference from the second shows that cost. Prints
+and writes JSON.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -22,18 +21,16 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])  # this folder has an arenas.py too
-
-from league import environment  # noqa: E402
+from league.system import environment
 
 LEAGUE = "phases"
-TOLD = {
+JAX_EVENTS = {
     "jaxpr_trace_duration": "trace", "jaxpr_to_mlir_module_duration": "lower", "backend_compile_duration": "compile"
 }  # fmt: skip
 
 
 class Marks:
-    """Seconds from one mark to the next."""
+    """Seconds of consecutive parts, by name."""
 
     def __init__(self, began: float):
         self.seconds: dict[str, float] = {}
@@ -41,14 +38,32 @@ class Marks:
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """What happens now, up to the end of the context."""
+        """Time a part, from the end of the one before to the end of the context."""
         yield
         now = time.time()
         self.seconds[name], self._last = now - self._last, now
 
 
-def gone_through(where: str, began: float) -> dict[str, object]:
-    """The parts, in this process; `began` is when it was started, on the clock."""
+def count_compile_seconds() -> defaultdict[str, float]:
+    """Return a counter that JAX fills with the seconds of its phases of compiling."""
+    import jax
+
+    events: defaultdict[str, float] = defaultdict(float)
+
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
+        events[JAX_EVENTS.get(event.rpartition("/")[2], "")] += duration_secs
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    return events
+
+
+def start_parts(where: str, began: float) -> dict[str, object]:
+    """Go through the start of a train worker in this process and return the seconds of each part.
+
+    Args:
+        where: the store.
+        began: Unix time at which this process was started.
+    """
     part = Marks(began)
     with part("python"):
         environment.prepare()
@@ -58,18 +73,13 @@ def gone_through(where: str, began: float) -> dict[str, object]:
         import jax
 
         from league.config import experiment as configuration
-        from league.examine import worlds as training_worlds
-        from league.jobs import TrainingTurn, decode
-        from league.plan import next_turns
-        from league.standing import Standing
-        from league.train import Trainer
+        from league.scheduling.turn_scheduler import next_turns
+        from league.state.jobs import TrainingTurn, decode
+        from league.state.league_state import LeagueState
+        from league.system.arena_build import worlds as training_worlds
+        from league.training.trainer import Trainer
         from storage.store import Store
-    told: defaultdict[str, float] = defaultdict(float)
-
-    def listen(event: str, duration_secs: float, **_: str | int) -> None:
-        told[TOLD.get(event.rpartition("/")[2], "")] += duration_secs
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
+    events = count_compile_seconds()
     with part("find the devices"):
         jax.devices()
         if torch.cuda.is_available():
@@ -83,8 +93,8 @@ def gone_through(where: str, began: float) -> dict[str, object]:
             trainer = Trainer(config, arena, store.players(LEAGUE), worlds)
 
         def turn() -> float:
-            """Do the next one as a worker does; the seconds of training that its first iteration took."""
-            planned = next_turns(config, Standing.of(store, LEAGUE))
+            """Do the next turn as a worker does; return the seconds of training of its first iteration."""
+            planned = next_turns(config, LeagueState.of(store, LEAGUE))
             store.queue(planned.jobs, planned.phases)
             claimed = store.claim(LEAGUE, [TrainingTurn.kind], "phases", 3600)
             assert claimed
@@ -103,28 +113,25 @@ def gone_through(where: str, began: float) -> dict[str, object]:
     return {
         "seconds": round(sum(part.seconds.values()), 1), "parts": {k: round(v, 2) for k, v in part.seconds.items()},
         "the first iteration": round(first, 2), "the second iteration": round(second, 2),
-        "of these": {name: round(told[name], 2) for name in TOLD.values()},
+        "of these": {name: round(events[name], 2) for name in JAX_EVENTS.values()},
     }  # fmt: skip
 
 
 def main() -> None:
     """Measure and write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arena", default="sumo-2v2")
-    parser.add_argument("--worlds", type=int, help="default: the league's own")
-    parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--of", help=argparse.SUPPRESS)  # the store, in the process that is watched
-    parser.add_argument("--began", type=float, help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.of:
-        print(json.dumps(gone_through(args.of, args.began)))
+    if sys.argv[1:2] == ["--of"]:  # the process that is timed, which imports nothing before
+        print(json.dumps(start_parts(sys.argv[2], float(sys.argv[3]))))
         return
     environment.prepare()
-    from benchmarks.record import commit, machine, tell
+    from scripts.record import make_parser, report, run_info
+
+    parser = make_parser(__doc__)
+    parser.add_argument("--arena", default="sumo-2v2")
+    parser.add_argument("--worlds", type=int, help="default: the league's own")
+    args = parser.parse_args()
     from league.config import experiment as configuration
-    from league.prepare import prepare
-    from league.versions import versions
+    from league.config.run_spec import RunSpec
+    from league.runtime.preflight import prepare
 
     config = replace(configuration.default(args.arena), league=LEAGUE)
     config = replace(config, training=replace(config.training, worlds=args.worlds))
@@ -132,19 +139,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for temperature in ("cold", "warm"):
             where, began = str(Path(folder, temperature)), time.time()
-            prepare(where, config)
+            prepare(RunSpec.of(where, config), config)
             took = round(time.time() - began, 2)
-            told = watched(where, {**os.environ, "ROBOT_LEAGUE_CACHE": str(Path(folder, "cache"))})
-            found[temperature] = {"before it, a process that prepares the league": took, **told}
-    about = {"benchmark": "phases", "commit": args.commit or commit(), "machine": machine(), "versions": versions()}
-    tell({**about, "arena": args.arena, "worlds": args.worlds, **found}, args.out)
+            parts = timed(where, {**os.environ, "ROBOT_LEAGUE_CACHE": str(Path(folder, "cache"))})
+            found[temperature] = {"before it, a process that prepares the league": took, **parts}
+    report({**run_info(args.commit), "arena": args.arena, "worlds": args.worlds, **found}, args.out)
 
 
-def watched(where: str, variables: dict[str, str]) -> dict[str, object]:
-    """The parts, in a process of its own."""
+def timed(where: str, variables: dict[str, str]) -> dict[str, object]:
+    """Return the seconds of each part in a new process with these environment variables."""
     for name in ("JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"):  # set by this process for its children
         variables.pop(name, None)
-    command = [sys.executable, __file__, "--of", where, "--began", str(time.time())]
+    command = [sys.executable, "-m", "benchmarks.phases", "--of", where, str(time.time())]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=variables)
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -1,12 +1,11 @@
-"""The quick start as a stranger runs it, over seeds: how soon it learns, how fast, and how well it plays by time.
+"""The quick start over seeds: time to the first learning step, speed, and score over training time.
 
-    python benchmarks/quickstart.py --seeds 1 2 3 --out benchmarks/results/quickstart-cpu.json
+    python -m benchmarks.quickstart --seeds 1 2 3 --out benchmarks/results/quickstart-cpu.json
 
-Each seed runs `league run --preset quickstart` in a folder of its own; afterwards every snapshot of both players plays
-its own initial snapshot, so that the curve has a point for each.
+Each seed runs `league run --preset quickstart` in a folder of its own. Afterwards every snapshot of both players plays
+its player's initial snapshot, which gives a point of the learning curve each.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -16,69 +15,53 @@ from pathlib import Path
 
 import numpy as np
 
-# Not this folder, whose arenas.py would hide the package of that name.
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from league.environment import prepare  # noqa: E402
+from league.system.environment import prepare
 
 prepare()  # before jax reads the environment
 
-import jax  # noqa: E402
+import jax
 
-from benchmarks.record import commit, machine  # noqa: E402
-from league.config import experiment as configuration  # noqa: E402
-from league.config import presets  # noqa: E402
-from league.evaluate import Referee  # noqa: E402
-from league.jobs import RatingMatch  # noqa: E402
-from league.measures import newest_snapshots, yardsticks  # noqa: E402
-from league.standing import Standing  # noqa: E402
-from league.versions import versions  # noqa: E402
-from matchmaking.ladder import Ladder  # noqa: E402
-from storage.store import Store  # noqa: E402
+from league.config import experiment as configuration
+from league.config import presets
+from league.matches.evaluator import MatchEvaluator
+from league.scheduling.progress_metrics import newest_snapshots, reference_opponents
+from league.state.jobs import RatingMatch
+from league.state.league_state import LeagueState
+from matchmaking.ratings.ladder import Ladder
+from scripts.record import make_parser, run_info, write
+from storage.store import Store
 
 EPISODES = 256
 
 
 def main() -> None:
     """Run the seeds and write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = make_parser(__doc__, out_required=True)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
-    parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--keep", type=Path, help="keep the leagues in this folder")
     parser.add_argument("flags", nargs="*", help="further flags of `league run`, after --")
     args = parser.parse_args()
-    result = {"machine": machine(), "versions": versions(), "commit": commit(), "bare_batch": bare_batch(), "seeds": []}
+    result = {**run_info(args.commit), "bare_batch": bare_batch(), "seeds": []}
     for seed in args.seeds:
         with tempfile.TemporaryDirectory() as folder:
             where = Path(args.keep or folder) / f"seed{seed}"
             result["seeds"].append(one_seed(seed, where, args.flags))
-            args.out.write_text(json.dumps(result, indent=1) + "\n")
+            write(result, args.out)
             print(json.dumps({k: v for k, v in result["seeds"][-1].items() if k != "curve"}, indent=1), flush=True)
 
 
 def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
-    """Run one league and read off its store what it did."""
+    """Run one league and read its figures from its store."""
     began = time.time()
-    command = [
-        sys.executable,
-        "-m",
-        "league",
-        "run",
-        "--preset",
-        "quickstart",
-        "--seed",
-        str(seed),
-        "--store",
-        str(where),
-    ]
-    subprocess.run([*command, *flags], check=True)
+    command = [sys.executable, "-m", "league", "run", "--preset", "quickstart"]
+    subprocess.run([*command, "--seed", str(seed), "--store", str(where), *flags], check=True)
     wall = time.time() - began
     with Store.open(where) as store:
         league = "quickstart"
         config = configuration.loads(store.league(league).config)
-        standing = Standing.of(store, league)
+        state = LeagueState.of(store, league)
         first = min(c.created - c.seconds for c in store.checkpoints(league) if c.iteration > 0)
-        last = standing.newest
+        last = state.newest
         assert last is not None
         played = store.matches(league, "rating")
         return {
@@ -89,7 +72,7 @@ def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
             "steps": last.step,
             "steps_per_second_learning_included": round(last.step / last.seconds),
             "control_steps_per_second": round(last.step / last.seconds * config.arena.rules.decide_every),
-            "snapshots_per_player": len(standing.history("blue")),
+            "snapshots_per_player": len(state.history("blue")),
             "rated_episodes": sum(m.wins + m.draws + m.losses for m in played),
             "void_episodes": sum(m.voids for m in played),
             "newest": [
@@ -97,33 +80,33 @@ def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
                     "snapshot": s.name,
                     "against": o.name,
                     "against_seconds": round(o.seconds, 1),
-                    **score(standing.ladder, s, o),
+                    **score(state.ladder, s, o),
                 }
-                for s in newest_snapshots(standing)
-                for o in yardsticks(config, standing, s)
-                if standing.ladder.score(s.name, o.name).games
+                for s in newest_snapshots(state)
+                for o in reference_opponents(config, state, s)
+                if state.ladder.score(s.name, o.name).games
             ],
-            "curve": curve(store, config, standing),
+            "curve": curve(store, config, state),
         }
 
 
 def score(ladder: Ladder, snapshot, other) -> dict:
-    """Score with its 95 % interval."""
+    """Return a score with its 95 % interval and number of games."""
     found = ladder.score(snapshot.name, other.name)
     return {"score": round(found.score, 4), "low": round(found.low, 4), "high": round(found.high, 4), "n": found.games}
 
 
-def curve(store: Store, config, standing: Standing) -> list[dict]:
-    """Every snapshot of both players against its own initial one, sides swapped."""
+def curve(store: Store, config, state: LeagueState) -> list[dict]:
+    """Play every snapshot of both players against its initial one, sides swapped; return their scores."""
     arena = config.arena.build(engine=config.engine, worlds=config.rating.worlds)
-    referee = Referee(config, arena, "quickstart")
-    pairs = [(s, standing.history(p.name)[0]) for p in standing.players for s in standing.history(p.name)[1:]]
+    evaluator = MatchEvaluator(config, arena, "quickstart")
+    pairs = [(s, state.history(p.name)[0]) for p in state.players for s in state.history(p.name)[1:]]
     matches = []
-    for i in range(0, len(pairs), referee.pairings):
-        batch = tuple((a.name, b.name) for a, b in pairs[i : i + referee.pairings])
-        for repeat in range(-(-EPISODES // (2 * referee.each))):
-            matches += referee.play(store, RatingMatch(batch, 10_000 + 100 * i + repeat))
-    ladder = Ladder([s.name for s in standing.snapshots], matches)
+    for i in range(0, len(pairs), evaluator.pairings):
+        batch = tuple((a.name, b.name) for a, b in pairs[i : i + evaluator.pairings])
+        for repeat in range(-(-EPISODES // (2 * evaluator.each))):
+            matches += evaluator.play(store, RatingMatch(batch, 10_000 + 100 * i + repeat))
+    ladder = Ladder([s.name for s in state.snapshots], matches)
     return [
         {"player": s.player, "iteration": s.iteration, "seconds": round(s.seconds, 1), **score(ladder, s, start)}
         for s, start in pairs
@@ -131,7 +114,7 @@ def curve(store: Store, config, standing: Standing) -> list[dict]:
 
 
 def bare_batch(worlds: int = 256, seconds: float = 10.0) -> dict:
-    """`mujoco.batch.Batch` alone on the quick start's model: control steps per second with random controls."""
+    """Return control steps/s of `mujoco.batch.Batch` alone on the quick start's model, with random controls."""
     from mujoco.batch import Batch
 
     arena = presets.quickstart().arena.build(engine="c")

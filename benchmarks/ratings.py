@@ -1,13 +1,12 @@
-"""How long ratings take: the fit of a log, and `league ratings` from a cold start. Prints JSON.
+"""Time of ratings: the fit of a log, and `league ratings` as a new process. Prints JSON.
 
-python benchmarks/ratings.py [--repeats 5] [--out benchmarks/results/ratings-cpu.json]
+    python -m benchmarks.ratings [--repeats 5] [--out benchmarks/results/ratings-cpu.json]
 
 Logs are simulated: batches of 64 games, half of them with sides swapped, between random policies of known strength. A
-fit is timed from the summed log, as the daemon has it; a query from the start of the process to its end. Beside wall
-time stands processor time, of all threads: on a machine with other work it tells more.
+fit is timed from the summed log, which the manager has; a query from the start of its process to its end. CPU time, of
+all threads, stands beside wall-clock time: on a machine with other work it is the more reliable one.
 """
 
-import argparse
 import os
 import resource
 import subprocess
@@ -18,19 +17,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])  # this folder has an arenas.py too
-
-from league import environment  # noqa: E402
+from league.system import environment
 
 environment.prepare()  # as every command does, before NumPy is loaded: one BLAS thread
 
-import numpy as np  # noqa: E402
+import numpy as np
 
-from benchmarks.record import commit, machine, spread, tell  # noqa: E402
-from matchmaking.payoff import tally  # noqa: E402
-from matchmaking.ratings import ELO, davidson, fit  # noqa: E402
-from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot  # noqa: E402
-from storage.store import Store  # noqa: E402
+from matchmaking.ratings.davidson import davidson
+from matchmaking.ratings.fit import ELO, fit
+from matchmaking.ratings.payoff import sum_matches
+from scripts.record import make_parser, report, run_info, spread
+from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot
+from storage.store import Store
 
 FITS = {(200, 800_000): 0.1, (1000, 800_000): 1.0}  # policies and games -> seconds asked
 QUERIES = {(200, 1_000_000): 0.7, (1000, 1_000_000): 1.5}
@@ -39,20 +37,20 @@ KEY = ArenaKey("sumo", "0", "c")
 
 
 def name(policy: int) -> str:
-    """Two lineages that take turns."""
+    """Return the name of a policy; two lineages alternate."""
     return f"{('blue', 'red')[policy % 2]}@{policy // 2}"
 
 
 def simulate(
     policies: int, games: int, rng: np.random.Generator, batch: int = BATCH
 ) -> tuple[list[Match], dict[str, float]]:
-    """The rows of a log, and how strong everybody is in log odds."""
+    """Return the rows of a log, and the strength of each policy in log odds."""
     theta = rng.normal(0, 1.5, policies)
     matches = []
     for row in range(games // batch):
         a, b = rng.choice(policies, 2, replace=False)
-        told = [davidson(np.array(sign * (theta[a] - theta[b]) + 0.2), np.log(0.5)) for sign in (1, -1)]
-        first, second = (rng.choice([2, 1, 0], batch // 2, p=np.exp(o.log_likelihood)) for o in told)
+        outcomes = [davidson(np.array(sign * (theta[a] - theta[b]) + 0.2), np.log(0.5)) for sign in (1, -1)]
+        first, second = (rng.choice([2, 1, 0], batch // 2, p=np.exp(o.log_likelihood)) for o in outcomes)
         home, away = np.bincount(first, minlength=3), np.bincount(2 - second, minlength=3)
         losses, draws, wins = (int(n) for n in home + away)
         pairs = PairCounts(*(int(n) for n in np.bincount(first + 2 - second, minlength=5)))
@@ -63,7 +61,7 @@ def simulate(
 
 
 def filled(folder: Path, policies: int, matches: list[Match]) -> None:
-    """A store with that log."""
+    """Create a store with this log."""
     with Store.open(folder, create=True) as store:
         store.create_league(League("bench", "[rating]\nvoid_limit = 0.05\n"))
         store.add_players(
@@ -83,7 +81,7 @@ def filled(folder: Path, policies: int, matches: list[Match]) -> None:
 
 
 def timed(work: Callable[[], object], repeats: int, of: int) -> dict:
-    """Wall and processor seconds of `work()`; `of` is whose: this process or its children."""
+    """Return wall-clock and CPU seconds of `work()`; `of` is `resource.RUSAGE_SELF` or `RUSAGE_CHILDREN`."""
     walls, processors = [], []
     for _ in range(repeats):
         before, start = resource.getrusage(of), time.perf_counter()
@@ -95,20 +93,22 @@ def timed(work: Callable[[], object], repeats: int, of: int) -> dict:
 
 
 def fitted(policies: int, games: int, asked: float, repeats: int) -> dict:
+    """Time the fit of a log, and return how often its 95 % intervals hold the true strengths."""
     matches, theta = simulate(policies, games, np.random.default_rng(0))
-    payoff = tally(matches)
+    payoff = sum_matches(matches)
     ratings = fit(payoff)
     truth = ELO * np.array([theta[each] for each in ratings.names])
     truth += ratings.elo.mean() - truth.mean()
     return {
         "policies": policies, "games": games, "pairs_that_met": len(payoff.first), "asked_seconds": asked,
         **timed(lambda: fit(payoff), repeats, resource.RUSAGE_SELF),
-        "tally": timed(lambda: tally(matches), repeats, resource.RUSAGE_SELF),
+        "tally": timed(lambda: sum_matches(matches), repeats, resource.RUSAGE_SELF),
         "covered_by_95%": round(float(((ratings.low < truth) & (truth < ratings.high)).mean()), 3),
     }  # fmt: skip
 
 
 def queried(policies: int, games: int, asked: float, repeats: int) -> dict:
+    """Time `league ratings` on a store."""
     matches, _ = simulate(policies, games, np.random.default_rng(1))
     with tempfile.TemporaryDirectory() as folder:
         filled(Path(folder, "store"), policies, [replace(m, id=0) for m in matches])
@@ -123,20 +123,16 @@ def queried(policies: int, games: int, asked: float, repeats: int) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Measure and print the JSON."""
+    parser = make_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    told = {
-        "benchmark": "ratings",
-        "machine": machine(),
+    result = {
         "load_average_at_start": round(os.getloadavg()[0], 1),
-        "numpy": np.__version__,
-        "commit": commit(),
         "fit": [fitted(*size, asked, args.repeats) for size, asked in FITS.items()],
         "league ratings": [queried(*size, asked, args.repeats) for size, asked in QUERIES.items()],
     }
-    tell(told, args.out)
+    report({**run_info(args.commit), **result}, args.out)
 
 
 if __name__ == "__main__":

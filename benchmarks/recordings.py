@@ -1,14 +1,12 @@
-"""What a recording costs: bytes per control step, and milliseconds to write it, to read it and to convert it for rerun.
+"""Cost of a recording: bytes per control step, and milliseconds to write it, read it and convert it for rerun.
 
-    python benchmarks/recordings.py --out benchmarks/results/recordings-cpu.json
+    python -m benchmarks.recordings --out benchmarks/results/recordings-cpu.json
 
-The match is made up by MuJoCo: two teams of two robots of 10 geoms each roll about for 1,000 control steps, which is as
-hard for a compressor as real play. Converting is all that `league watch --save` does once modules are imported.
+The match is synthetic: two teams of two robots of 10 geoms each roll about in MuJoCo for 1,000 control steps, which
+compress as badly as real play. The conversion is what `league watch --save` does after its imports.
 """
 
-import argparse
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,21 +15,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-# Not this folder, whose arenas.py would hide the package of that name.
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from benchmarks.record import commit, machine, spread, tell  # noqa: E402
-from dashboards import viewer  # noqa: E402
-from league.versions import versions  # noqa: E402
-from storage.recording import Recording, RecordingHeader, from_bytes, to_bytes  # noqa: E402
-from storage.records import ArenaKey  # noqa: E402
+from dashboards import viewer
+from league.system.versions import versions
+from scripts.record import make_parser, report, run_info, spread
+from storage.recordings.recording import Recording, RecordingHeader, from_bytes, to_bytes
+from storage.records import ArenaKey
 
 STEPS, TEAMS, LEGS = 1000, ("blue", "red"), 4
 AGENTS = tuple(tuple(f"{team}/{i}" for i in range(2)) for team in TEAMS)
 
 
 def robot(agent: str, at: tuple[float, float]) -> str:
-    """A trunk of two geoms on four legs of two."""
+    """Return the MJCF of a robot: a trunk of two geoms, and four legs of two."""
     legs = "".join(
         f'<body pos="{x} {y} 0"><joint axis="0 1 0"/><geom type="capsule" size=".03 .1" pos="0 0 -.1"/>'
         f'<geom type="sphere" size=".04" pos="0 0 -.22"/></body>'
@@ -45,7 +40,7 @@ def robot(agent: str, at: tuple[float, float]) -> str:
 
 
 def match() -> Recording:
-    """1,000 control steps of 20 ms, with all that a recording has."""
+    """Return a recording of 1,000 control steps of 20 ms with all kinds of data."""
     agents = [agent for team in AGENTS for agent in team]
     bodies = "".join(robot(agent, (i - 1.5, (-1) ** i * 0.3)) for i, agent in enumerate(agents))
     xml = f'<mujoco><option timestep=".005"/><worldbody><geom type="plane" size="0 0 1"/>{bodies}</worldbody></mujoco>'
@@ -71,7 +66,7 @@ def match() -> Recording:
 
 
 def milliseconds(action: Callable[[], object], rounds: int) -> dict:
-    """How long it takes once it has been done: of the clock, and of this process's share of the processors."""
+    """Return wall-clock and CPU time of `action()` in ms, after one call that is not counted."""
     action()
     took = []
     for _ in range(rounds):
@@ -83,9 +78,8 @@ def milliseconds(action: Callable[[], object], rounds: int) -> dict:
 
 def main() -> None:
     """Measure and write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     played = match()
     data = to_bytes(played)
@@ -99,8 +93,8 @@ def main() -> None:
                 lambda: viewer.write_rrd(from_bytes(data), Path(folder, "match.rrd")), options.rounds
             ),
         }  # fmt: skip
-    load = [round(each, 1) for each in os.getloadavg()]  # what else the machine did, over 1, 5 and 15 minutes
-    tell({**figures, "machine": machine(), "load": load, "commit": commit(), "versions": versions()}, options.out)
+    load = [round(each, 1) for each in os.getloadavg()]  # over 1, 5 and 15 minutes
+    report({**run_info(options.commit), "load": load, **figures}, options.out)
 
 
 if __name__ == "__main__":

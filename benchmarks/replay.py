@@ -1,7 +1,7 @@
-"""Play that was recorded, and the bare engine that goes through it again: the same states, the same controls.
+"""Recorded play, and the bare engine that replays it: the same states and the same controls.
 
-T decisions, N worlds, S physics substeps in a decision. Random controls are no baseline: robots that stand or tremble
-have fewer contacts than robots that fight, and a step of theirs costs two thirds as much.
+T decisions, N worlds, S physics substeps in a decision. Random controls would be no baseline: robots that stand or
+tremble have fewer contacts than robots that fight, and their steps cost two thirds as much.
 """
 
 import copy
@@ -20,27 +20,33 @@ from jax import Array
 from mujoco import mjx
 from mujoco.batch import Batch
 
-from agents.rollout import Trajectory, Worlds
+from agents.rollout.rollout import Trajectory, Worlds
 from arenas.arena import Arena
-from arenas.physics import Physics
-from arenas.xla import LOST, MjxEngine
+from arenas.physics.engine import Physics
+from arenas.physics.mjx import OVERFLOW_BITS, MjxEngine
 
+LOST = sum(OVERFLOW_BITS.values())  # Warp's overflow bits that mean dropped contacts or rows, disjoint by cause
 CONVERGED = {"iterations": 100, "ls_iterations": 50}
-STATE = {"qpos": "qpos", "qvel": "qvel", "warmstart": "qacc_warmstart", "act": "act"}  # of a save -> MuJoCo's name
+STATE = {
+    "qpos": "qpos",
+    "qvel": "qvel",
+    "warmstart": "qacc_warmstart",
+    "act": "act",
+}  # in `Engine.save` -> in MuJoCo
 
 
 class Play(NamedTuple):
-    """What the engine was asked to do."""
+    """The states and controls that the engine received."""
 
     start: dict[str, Array]  # (T, N, ...) each world as each decision begins, see `Engine.save`
     controls: Array  # (T, N, S, nu) before each substep, the robots' laws applied
 
 
 def make_record(arena: Arena, length: int) -> jax.stages.Wrapped:
-    """Compile `record(state, trajectory, key) -> Play`: the rollout of `make_rollout(arena, length)` once more.
+    """Return compiled `record(state, trajectory, key) -> Play`, which repeats a rollout of `length` decisions.
 
-    `state` is that of its worlds before, the rest is what it was given and gave. On the C engine it is the same bit for
-    bit; Warp adds in another order each time.
+    `state` is the state of the worlds before that rollout, `trajectory` its result, and `key` its key. The C engine
+    repeats it bit for bit; Warp adds in another order each time.
     """
 
     def record(state: Any, trajectory: Trajectory, key: Array) -> Play:
@@ -59,7 +65,7 @@ def make_record(arena: Arena, length: int) -> jax.stages.Wrapped:
 
 
 def _controls(arena: Arena, state: Any, actions: Mapping[str, Array]) -> Array:
-    """The controls (S, nu) of one world's decision."""
+    """Return the controls (S, nu) of one world's decision."""
     command, substeps = arena.command(actions), arena.timing.substeps
 
     def control_step(physics: Physics, _: None) -> tuple[Physics, Array]:
@@ -76,13 +82,13 @@ def _controls(arena: Arena, state: Any, actions: Mapping[str, Array]) -> Array:
 
 
 def clocks() -> np.ndarray:
-    """Seconds (wall, CPU of this process and those that it has): the second is less moved by what else goes on."""
+    """Return seconds (wall-clock, CPU of this process and its children); other load affects the second less."""
     own = [int(pid) for each in Path("/proc/self/task").glob("*/children") for pid in each.read_text().split()]
     return np.array([time.perf_counter(), time.process_time() + sum(map(_cpu_seconds, own))])
 
 
 def _cpu_seconds(pid: int) -> float:
-    """What a process has had of all cores, of user and system, as Linux counts it."""
+    """Return user and system CPU seconds of a process."""
     after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return sum(map(int, after_name[11:13])) / os.sysconf("SC_CLK_TCK")
 
@@ -94,7 +100,7 @@ class Native:
         self.batch = Batch(model, worlds, threads)
 
     def put(self, play: Play, t: int) -> np.ndarray:
-        """Write the states of decision `t`; gives its controls."""
+        """Write the states of decision `t`; return its controls."""
         for name, values in play.start.items():
             field = STATE.get(name)
             if name.startswith("model/"):
@@ -105,7 +111,7 @@ class Native:
         return np.ascontiguousarray(play.controls[t], np.float64)
 
     def seconds(self, play: Play) -> np.ndarray:
-        """(wall, CPU) s to step through all decisions; what is written before each of them is not counted."""
+        """Return seconds (wall-clock, CPU) to step through all decisions, without writing their states."""
         play, total = jax.device_get(play), np.zeros(2)
         for t in range(play.controls.shape[0]):
             controls = self.put(play, t)
@@ -115,7 +121,7 @@ class Native:
         return total
 
     def through(self, play: Play, fields: tuple[str, ...], substeps: int | None = None) -> dict[str, np.ndarray]:
-        """Fields of MjData after every substep, (T, N, substeps, ...); all substeps of a decision or its first few."""
+        """Return fields of MjData (T, N, substeps, ...) after all substeps of each decision, or the first few."""
         play = jax.device_get(play)
         found = []
         for t in range(play.controls.shape[0]):
@@ -132,8 +138,8 @@ class Accelerated:
         self._run = jax.jit(self._scan)
 
     def _scan(self, play: Play) -> tuple[Array, ...]:
-        """Positions (N, nq) at the end, and of all steps: lost contacts (N,), and per step iterations and rows."""
-        own = self.engine._mjx  # the engine's own model is what is timed
+        """Return final positions (N, nq) and, for Warp, iterations, rows and lost contacts of every substep."""
+        own = self.engine._mjx  # time the engine's own model
         data = jax.vmap(self.engine.load)({name: values[0] for name, values in play.start.items()}).carry
 
         def substep(carry: tuple, ctrl: Array) -> tuple[tuple, tuple]:
@@ -142,58 +148,58 @@ class Accelerated:
             data = step(data, ctrl, model)
             if self.engine.name != "warp":
                 return (data, model), ()
-            told = (data._impl.solver_niter, data._impl.nefc, data._impl.overflow & LOST != 0)
-            return (data, model), jax.lax.optimization_barrier(told)
+            counters = (data._impl.solver_niter, data._impl.nefc, data._impl.overflow & LOST != 0)
+            return (data, model), jax.lax.optimization_barrier(counters)
 
         def decision(data: Any, of: tuple) -> tuple[Any, tuple]:
             start, controls = of
             data = data.replace(**{field: start[name] for name, field in STATE.items()})
             model = {k.removeprefix("model/"): v for k, v in start.items() if k.startswith("model/")}
-            (data, _), told = jax.lax.scan(substep, (data, model), jnp.moveaxis(controls, 1, 0))
-            return data, told
+            (data, _), counters = jax.lax.scan(substep, (data, model), jnp.moveaxis(controls, 1, 0))
+            return data, counters
 
-        data, told = jax.lax.scan(decision, data, (play.start, play.controls))
-        return data.qpos, told
+        data, counters = jax.lax.scan(decision, data, (play.start, play.controls))
+        return data.qpos, counters
 
     def seconds(self, play: Play) -> np.ndarray:
-        """(wall, CPU) s to step through all decisions."""
+        """Return seconds (wall-clock, CPU) to step through all decisions."""
         jax.block_until_ready(play)
         began = clocks()
         jax.block_until_ready(self._run(play))
         return clocks() - began
 
-    def told(self, play: Play) -> dict[str, np.ndarray]:
-        """Warp's own solver iterations and rows after every substep, (T, S, N), and whether any contact was lost."""
-        _, told = self._run(play)
-        names = ("warp_iterations", "warp_rows", "lost")[: len(told)]
-        return {name: np.asarray(values, np.float64) for name, values in zip(names, told, strict=True)}
+    def counts(self, play: Play) -> dict[str, np.ndarray]:
+        """Return Warp's solver iterations, rows and lost contacts after every substep, (T, S, N)."""
+        _, counters = self._run(play)
+        names = ("warp_iterations", "warp_rows", "lost")[: len(counters)]
+        return {name: np.asarray(values, np.float64) for name, values in zip(names, counters, strict=True)}
 
 
 def bare(arena: Arena, worlds: int) -> Native | Accelerated:
-    """The engine of an arena without the arena."""
+    """Return the engine of an arena without the arena."""
     if isinstance(arena.engine, MjxEngine):
         return Accelerated(arena.engine)
     return Native(arena.scene.model, worlds)
 
 
 class Stretch(NamedTuple):
-    """A stretch of play that was timed, and then its replay."""
+    """A timed stretch of play, and its replay."""
 
-    worlds: Worlds  # as they are after it
+    worlds: Worlds  # after it
     trajectory: Trajectory
     play: Play
-    whole: np.ndarray  # (wall, CPU) s of all that was done
-    bare: np.ndarray  # and of the bare engine
+    whole: np.ndarray  # seconds (wall-clock, CPU) of the whole stretch
+    bare: np.ndarray  # the same of the bare engine
 
 
 class Pair:
-    """Anything that rolls out `length` decisions of an arena, and the bare engine right after it: they take turns."""
+    """Rollouts of `length` decisions of an arena, each followed by its replay on the bare engine."""
 
     def __init__(self, arena: Arena, worlds: int, length: int):
         self.record, self.alone = make_record(arena, length), bare(arena, worlds)
 
     def stretch(self, whole: Callable[[Worlds, Array], tuple[Worlds, Trajectory]], now: Worlds, key: Array) -> Stretch:
-        """Time `whole(now, key)`, whose rollout is that of `make_rollout` with this key, and its replay."""
+        """Time `whole(now, key)`, which does a rollout of `make_rollout` with this key, and its replay."""
         before = jax.tree.map(jnp.copy, now.state)
         jax.block_until_ready((now, before))
         began = clocks()
@@ -204,10 +210,10 @@ class Pair:
 
 
 def counts(model: mujoco.MjModel, play: Play) -> dict[str, np.ndarray]:
-    """Contacts, constraint rows and Newton iterations of every substep of the play, as the C engine has them.
+    """Return contacts, constraint rows and Newton iterations of every substep of the play, from the C engine.
 
-    Iterations are those that it took to converge, whatever the model's cap: the most that any island needed, and those
-    with all robots solved as one, as MJX does.
+    Iterations are counted until convergence, regardless of the model's cap: the maximum over islands, and with all
+    robots solved as one, as MJX does.
     """
     worlds = play.controls.shape[1]
     apart = Native(_with(model, **CONVERGED), worlds).through(play, ("ncon", "nefc", "solver_niter"))
@@ -219,10 +225,10 @@ def counts(model: mujoco.MjModel, play: Play) -> dict[str, np.ndarray]:
 
 
 def cap_errors(arena: Arena, play: Play, caps: Sequence[tuple[int, int]]) -> dict[tuple[int, int], dict]:
-    """How far a cap (iterations, line-search steps) leads away from a converged solve in one control step.
+    """Return the errors of capped solves (iterations, line-search steps) over one control step.
 
-    All robots solved as one, without islands, as MJX does. For each cap the largest gap of any robot, (T, N) each:
-    where its base is (m), which way it is turned (rad), its driven joints (rad), how fast its base is (m/s).
+    The reference is a converged solve; all robots are solved as one, without islands, as MJX does. Each cap has the
+    largest error of any robot, (T, N): base position (m), orientation (rad), driven joints (rad), base speed (m/s).
     """
     worlds, model = play.controls.shape[1], arena.scene.model
 
@@ -242,7 +248,7 @@ def _gaps(arena: Arena, ours: tuple[np.ndarray, ...], true: tuple[np.ndarray, ..
         place, turn = slice(at.qpos, at.qpos + 3), slice(at.qpos + 3, at.qpos + 7)
         speed = slice(at.qvel, at.qvel + 3)
         gaps["base_m"].append(np.linalg.norm((qpos - qpos0)[..., place], axis=-1))
-        apart = np.linalg.norm((qpos - qpos0)[..., turn], axis=-1)  # of unit quaternions: half the angle, where small
+        apart = np.linalg.norm((qpos - qpos0)[..., turn], axis=-1)  # of unit quaternions: half the angle, if small
         gaps["turn_rad"].append(2 * apart)
         gaps["joints_rad"].append(np.abs((qpos - qpos0)[..., at.joint_qpos]).max(axis=-1))
         gaps["speed_m_s"].append(np.linalg.norm((qvel - qvel0)[..., speed], axis=-1))
@@ -250,7 +256,7 @@ def _gaps(arena: Arena, ours: tuple[np.ndarray, ...], true: tuple[np.ndarray, ..
 
 
 def _with(model: mujoco.MjModel, *, islands: bool = True, **options: float) -> mujoco.MjModel:
-    """A copy of a model with other solver options."""
+    """Return a copy of a model with other solver options."""
     other = copy.copy(model)
     if not islands:
         other.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND

@@ -1,13 +1,14 @@
-"""Weak scaling: a league's turns spread over several devices, each with as many worlds. Prints and writes JSON.
+"""Weak scaling: training of a league over several devices, with the same number of worlds on each.
 
-    python benchmarks/scaling.py --devices 1 2 4 --worlds 8192 --out benchmarks/results/scaling-h200.json
-    python benchmarks/scaling.py --devices 1 2 --worlds 64 --seconds 20 --arena sumo-1v1 -- --training.device cpu
+    python -m benchmarks.scaling --devices 1 2 4 --worlds 8192 --out benchmarks/results/scaling-h200.json
+    python -m benchmarks.scaling --devices 1 2 --worlds 64 --seconds 20 --arena sumo-1v1 -- --training.device cpu
 
-A round runs a league for each number of devices, one after the other, with nothing else on them; what follows `--` are
-further flags of `league run`. Speeds are decisions/s of all worlds together, learning included, between the first
-learning iteration after `--warm` seconds of training and the last: by the learning curve, which counts time within
-turns, and by the store's dates of checkpoints, which count all. A ratio is a league's speed for each of its devices
-over that of one device in the same round; on a CPU, where processes share the cores, it says nothing of the program.
+A round runs a league for each number of devices, one after the other, with nothing else on them; arguments after `--`
+are further flags of `league run`. Speeds are decisions/s of all worlds together, learning included, between the first
+learning iteration after `--warm` seconds of training and the last one: `in_turns` by the learning curve, which counts
+time within turns, and `all_told` by the dates of checkpoints in the store, which count all time. A ratio is the speed
+per device over the speed of one device in the same round. On a CPU, where processes share the cores, a ratio says
+nothing about the program. Prints and writes JSON.
 """
 
 import argparse
@@ -17,17 +18,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-# Not this folder, whose arenas.py would hide the package of that name.
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from league.environment import prepare  # noqa: E402
+from league.system.environment import prepare
 
 prepare()  # before jax reads the environment
 
-from benchmarks.record import commit, machine, spread  # noqa: E402
-from league.versions import versions  # noqa: E402
-from storage.records import Checkpoint, CurvePoint  # noqa: E402
-from storage.store import Store  # noqa: E402
+from scripts.record import make_parser, run_info, spread, write
+from storage.records import Checkpoint, CurvePoint
+from storage.store import Store
 
 LEAGUE = "scaling"
 ASKED = {4: 0.92}
@@ -36,29 +33,27 @@ ASKED = {4: 0.92}
 def main() -> None:
     """Measure, and write the JSON after each round."""
     args = arguments()
-    about = {"command": " ".join(["python", *sys.argv]), "commit": args.commit or commit(), "versions": versions()}
     rounds: list[dict[int, dict]] = []
     for _ in range(args.rounds):
         rounds.append({})
         for devices in args.devices:
             rounds[-1][devices] = of_league(args, devices)
             print(json.dumps({"devices": devices, **rounds[-1][devices]}), flush=True)
-        result = {**about, "rows": [row(args, rounds, devices) for devices in args.devices]}
-        print(json.dumps(result["rows"], indent=1), flush=True)
+        rows = [row(args, rounds, devices) for devices in args.devices]
+        print(json.dumps(rows, indent=1), flush=True)
         if args.out:
-            args.out.write_text(json.dumps({**result, "machine": machine(), "rounds": rounds}, indent=1) + "\n")
+            write({**run_info(args.commit), "rows": rows, "rounds": rounds}, args.out)
 
 
 def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Parse the command line; one device is always among the devices."""
+    parser = make_parser(__doc__)
     parser.add_argument("--devices", type=int, nargs="+", default=[1, 2, 4])
-    parser.add_argument("--worlds", type=int, default=8192, help="of each device")
+    parser.add_argument("--worlds", type=int, default=8192, help="on each device")
     parser.add_argument("--arena", default="sumo-2v2")
     parser.add_argument("--seconds", type=int, default=60, help="of training in each league")
-    parser.add_argument("--warm", type=float, default=15.0, help="of them, not counted")
+    parser.add_argument("--warm", type=float, default=15.0, help="of these seconds, the first that are not counted")
     parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--commit", default="", help="the commit, where there is no git to ask")
-    parser.add_argument("--out", type=Path)
     parser.add_argument("flags", nargs="*", help="further flags of `league run`, after --")
     args = parser.parse_args()
     args.devices = sorted({1, *args.devices})
@@ -66,16 +61,16 @@ def arguments() -> argparse.Namespace:
 
 
 def of_league(args: argparse.Namespace, devices: int) -> dict:
-    """Run a league over so many devices and read its speed off its store."""
+    """Run a league on this number of devices and read its speed from its store."""
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder, "store")
         command = [
             sys.executable, "-m", "league", "run", "--store", str(where), "--league", LEAGUE,
             "--arena.name", args.arena, "--training.devices", str(devices),
             "--training.worlds", str(devices * args.worlds),
-            "--for", f"{args.seconds}s", "--budget.rate", "0s", "--workers.match", "0", *args.flags,
+            "--for", f"{args.seconds}s", "--budget.rating_time", "0s", "--workers.match", "0", *args.flags,
         ]  # fmt: skip
-        done = subprocess.run(command, cwd=sys.path[0], capture_output=True, text=True, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             sys.exit(f"the league of {devices} devices failed:\n{done.stdout}{done.stderr}")
         with Store.open(where) as store:
@@ -95,11 +90,12 @@ def of_league(args: argparse.Namespace, devices: int) -> dict:
 
 
 def speed(first: CurvePoint | Checkpoint, last: CurvePoint | Checkpoint, seconds: float) -> float:
+    """Return decisions/s between two points."""
     return (last.step - first.step) / seconds
 
 
 def row(args: argparse.Namespace, rounds: list[dict[int, dict]], devices: int) -> dict:
-    """The rounds' speeds over so many devices, and their ratios."""
+    """Return the speeds of all rounds on this number of devices, and their ratios."""
     found: dict = {"devices": devices, "arena": args.arena, "worlds": devices * args.worlds}
     for name in ("in_turns", "all_told"):
         pairs = [(each[devices][name], each[1][name]) for each in rounds if each[devices][name] and each[1][name]]

@@ -1,12 +1,12 @@
-"""How a store bears load: jobs per second, queries, size, and what a manager takes beside it. Prints JSON.
+"""A store under load: jobs per second, queries, size, and the resources of a manager. Prints JSON.
 
-    python benchmarks/store.py [--server postgresql://...] [--out benchmarks/results/store-cpu.json]
+    python -m benchmarks.store [--server postgresql://...] [--out benchmarks/results/store-cpu.json]
 
-A store is filled with ten leagues of a thousand snapshots each; one has 100,000 matches and 10,000,000 episodes. Jobs
-are claimed and finished, each with one match row, by 1, 8 and 32 processes at once; a query is timed from the start of
-its process to its end; the manager is a real one, whose workers are played here: a turn about every two seconds, and
-every rating batch that it asks for. Beside wall time stands processor time, of all threads: on a machine with other
-work it tells more.
+The store has ten leagues of a thousand snapshots each; one has 100,000 matches and 10,000,000 episodes. Jobs are
+claimed and finished, each with one match row, by 1, 8 and 32 processes at once. A query is timed from the start of its
+process to its end. The manager is a real one; its workers are simulated here, with a turn about every two seconds and
+every rating batch that it queues. CPU time, of all threads, stands beside wall-clock time: on a machine with other work
+it is the more reliable one.
 """
 
 import argparse
@@ -23,44 +23,42 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])  # this folder has an arenas.py too
-
-from league import environment  # noqa: E402
+from league.system import environment
 
 environment.prepare()  # as every command does, before NumPy is loaded: one BLAS thread
 
-import numpy as np  # noqa: E402
-import sqlalchemy as sa  # noqa: E402
+import numpy as np
+import sqlalchemy as sa
 
-from benchmarks.ratings import KEY, name, simulate  # noqa: E402
-from benchmarks.record import commit, machine, spread, tell  # noqa: E402
-from league.config import experiment as configuration  # noqa: E402
-from league.daemon import Manager  # noqa: E402
-from league.jobs import RatingMatch, TrainingTurn, decode, encode  # noqa: E402
-from storage.records import Checkpoint, CurvePoint, Job, League, Match, PairCounts, Player, Snapshot  # noqa: E402
-from storage.rows import row_of  # noqa: E402
-from storage.store import Store  # noqa: E402
+from benchmarks.ratings import KEY, name, simulate
+from league.config import experiment as configuration
+from league.runtime.manager import Manager
+from league.state.jobs import RatingMatch, TrainingTurn, decode, encode
+from scripts.record import make_parser, report, run_info, spread
+from storage.database.rows import row_of
+from storage.records import Checkpoint, CurvePoint, Job, League, Match, PairCounts, Player, Snapshot
+from storage.store import Store
 
 LEAGUE, PLAYERS = "bench", ("blue", "red")
 EPISODES, PAIRS = 100, 8  # of a match, of a rating job
 WORKERS = (1, 8, 32)
 PARTS = ("queries", "manager", "jobs")
-ASKED = {"sqlite": 200, "postgresql": 500}  # jobs per second with 8 workers
-QUERIES = {"matches": 1.0, "ratings": 1.0, "status": 0.6}  # seconds asked
-SHARE, RESIDENT = 0.02, 300  # of a core, MB: asked of the manager
+ASKED = {"sqlite": 200, "postgresql": 500}  # targets: jobs per second with 8 workers
+QUERIES = {"matches": 1.0, "ratings": 1.0, "status": 0.6}  # targets in seconds
+SHARE, RESIDENT = 0.02, 300  # targets of the manager: share of a core, MB
 CONFIG = configuration.loads(f'league = "{LEAGUE}"\n[arena]\nname = "sumo-1v1"\n[training]\nworlds = 64\n')
 SPAWN, FORK = multiprocessing.get_context("spawn"), multiprocessing.get_context("fork")
 
 
 class Place(NamedTuple):
-    """Where a store is, and its blobs."""
+    """URL or folder of a store, and the folder of its blobs."""
 
     where: str
     blobs: str
 
 
 def leagues(each: int, number: int) -> list[tuple[str, list[Snapshot]]]:
-    """Leagues with their snapshots, whose bytes nobody reads here."""
+    """Return leagues with their snapshots; the snapshots' blobs do not exist."""
     text = configuration.dumps(CONFIG)
     return [
         (league, [
@@ -73,7 +71,7 @@ def leagues(each: int, number: int) -> list[tuple[str, list[Snapshot]]]:
 
 
 def tables(snapshots: int, number: int, matches: int) -> Iterator[tuple[str, Iterator[dict]]]:
-    """The rows of a store, table by table, as they travel from store to store."""
+    """Yield the rows of a store, table by table, in the form that `Store.restore` takes."""
     filled = leagues(snapshots, number)
     log = simulate(snapshots, matches * EPISODES, np.random.default_rng(0), EPISODES)[0]
     jobs = [
@@ -91,10 +89,12 @@ def tables(snapshots: int, number: int, matches: int) -> Iterator[tuple[str, Ite
 
 
 def checkpoints(iteration: int, digest: str) -> list[Checkpoint]:
+    """Return a checkpoint of each player."""
     return [Checkpoint(LEAGUE, p, digest, 1000 * iteration, iteration, float(iteration), KEY) for p in PLAYERS]
 
 
 def curves(iteration: int) -> list[CurvePoint]:
+    """Return a point of each player's learning curve."""
     values = {"score": 0.5, "reward": 0.1, "length": 200.0, "episodes": 64.0, "entropy": 1.0}
     return [CurvePoint(LEAGUE, p, iteration, 1000 * iteration, float(iteration), values) for p in PLAYERS]
 
@@ -103,7 +103,7 @@ def curves(iteration: int) -> list[CurvePoint]:
 
 
 def work(place: Place, holder: str, gates: tuple[Any, Any], seconds: float, done: Any) -> None:
-    """Claim and finish for that time; tells when how many were finished, and the seconds of the processor."""
+    """Claim and finish jobs for `seconds`; put (number finished, seconds, CPU seconds) into the queue `done`."""
     with Store.open(place.where, blobs=place.blobs) as store:
         store.now()  # connects
         ready, go = gates
@@ -118,18 +118,19 @@ def work(place: Place, holder: str, gates: tuple[Any, Any], seconds: float, done
 
 
 def match(seed: int) -> Match:
+    """Return a match row whose pair depends on the seed."""
     names = name(2 * (seed % 40)), name(2 * (seed % 30) + 1)
     return Match(LEAGUE, KEY, *names, 1, 0, 1, 0, 1, 0, 0, PairCounts(), seed)
 
 
 def throughput(store: Store, place: Place, workers: int, seconds: float) -> dict:
-    """Jobs claimed and finished in that time by so many processes, on a full queue."""
+    """Return jobs/s claimed and finished by this number of processes on a full queue."""
     run = secrets.token_hex(4)
     store.queue([Job(LEAGUE, "any", f"{run}:{i}") for i in range(int(1000 * seconds))])
     gates, done = (FORK.Semaphore(0), FORK.Event()), FORK.Queue()
-    told = [(place, f"here:{i}:any", gates, seconds, done) for i in range(workers)]
+    arguments = [(place, f"here:{i}:any", gates, seconds, done) for i in range(workers)]
     store.close()
-    processes = [FORK.Process(target=work, args=each) for each in told]
+    processes = [FORK.Process(target=work, args=each) for each in arguments]
     for process in processes:
         process.start()
     for _ in processes:
@@ -148,7 +149,7 @@ def throughput(store: Store, place: Place, workers: int, seconds: float) -> dict
 
 
 def fsync_ms(place: Place) -> dict:
-    """What the disk takes until a page is on it."""
+    """Return the time of writing and syncing a page of 4 kB, in ms."""
     took = []
     with tempfile.TemporaryFile(dir=place.blobs) as file:
         for _ in range(20):
@@ -160,10 +161,12 @@ def fsync_ms(place: Place) -> dict:
 
 
 def load() -> float:
+    """Return the load average of the last minute."""
     return round(os.getloadavg()[0], 1)
 
 
 def processor(whose: int) -> float:
+    """Return CPU seconds of this process or its children, see `resource.getrusage`."""
     used = resource.getrusage(whose)
     return used.ru_utime + used.ru_stime
 
@@ -177,11 +180,11 @@ start = time.perf_counter()
 subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
 took, used = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
 print(took, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
-"""  # in a process of its own: a child's memory is counted from what its parent had
+"""  # in a process of its own: the memory of a child includes what its parent had when it forked
 
 
 def query(place: Place, command: str, asked: float, repeats: int) -> dict:
-    """A command from the start of its process to its end."""
+    """Time a command from the start of its process to its end."""
     line = [sys.executable, "-m", "league", command, "--store", place.where, "--blobs", place.blobs, "--league", LEAGUE]
     found = []
     for _ in range(repeats + 1):  # the first compiles byte code and fills the caches
@@ -195,7 +198,7 @@ def query(place: Place, command: str, asked: float, repeats: int) -> dict:
 
 
 def manage(place: Place) -> None:
-    """A manager without processes of its own."""
+    """Run a manager that starts no workers."""
     with Store.open(place.where, blobs=place.blobs) as store:
         manager = Manager(store, place.where, CONFIG)
         manager._slots.clear()
@@ -203,15 +206,15 @@ def manage(place: Place) -> None:
 
 
 def managed(store: Store, place: Place, seconds: float) -> dict:
-    """A manager's share of a core and its memory while turns end every two seconds, and rating batches when asked."""
+    """Measure a manager's CPU share and memory while a turn ends every two seconds and every rating batch is played."""
     process = SPAWN.Process(target=manage, args=(place,))
     process.start()
-    played(store, time.monotonic() + 10)
+    simulate_workers(store, time.monotonic() + 10)
     used, since = seconds_of(process.pid), time.monotonic()
-    turns, batches = played(store, since + seconds)
+    turns, batches = simulate_workers(store, since + seconds)
     share = (seconds_of(process.pid) - used) / (time.monotonic() - since)
-    told = Path(f"/proc/{process.pid}/status").read_text()
-    resident = {key: round(int(told.split(f"{key}:")[1].split()[0]) / 1024) for key in ("VmRSS", "VmHWM")}
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    resident = {key: round(int(status.split(f"{key}:")[1].split()[0]) / 1024) for key in ("VmRSS", "VmHWM")}
     store.ask_stop(LEAGUE)
     process.join()
     return {
@@ -221,8 +224,8 @@ def managed(store: Store, place: Place, seconds: float) -> dict:
     }  # fmt: skip
 
 
-def played(store: Store, until: float) -> tuple[int, int]:
-    """What workers would do until then; turns and rating batches."""
+def simulate_workers(store: Store, until: float) -> tuple[int, int]:
+    """Finish jobs as workers would, until that monotonic time; return the numbers of turns and of rating batches."""
     turns = batches = 0
     while time.monotonic() < until:
         time.sleep(1.5)
@@ -243,16 +246,16 @@ def played(store: Store, until: float) -> tuple[int, int]:
 
 
 def seconds_of(pid: int | None) -> float:
-    """Seconds of the processor that a process has had."""
+    """Return the CPU seconds of a process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-# All of it
+# Main
 
 
 def size(store: Store, place: Place) -> int:
-    """Bytes of the database, without blobs."""
+    """Return the size of the database in bytes, without blobs."""
     if "://" not in place.where:
         return sum(path.stat().st_size for path in Path(place.where).glob("league.db*"))
     engine = sa.create_engine(sa.make_url(place.where).set(drivername="postgresql+psycopg"))
@@ -262,8 +265,9 @@ def size(store: Store, place: Place) -> int:
 
 
 def measured(place: Place, backend: str, args: argparse.Namespace) -> dict:
+    """Fill a store and measure the parts that were asked for."""
     with Store.open(place.where, create=True, blobs=place.blobs) as store:
-        store.blobs.put(b"so that the folder is there")
+        store.blobs.put(b"creates the folder")
         start = time.perf_counter()
         store.restore(tables(args.snapshots // args.leagues, args.leagues, args.matches))
         found: dict[str, Any] = {"filled_in_seconds": round(time.perf_counter() - start, 1)}
@@ -279,32 +283,32 @@ def measured(place: Place, backend: str, args: argparse.Namespace) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--server", help="a PostgreSQL server's URL; everything goes into a schema that is dropped")
+    """Measure and print the JSON."""
+    parser = make_parser(__doc__)
+    parser.add_argument("--server", help="URL of a PostgreSQL server; a new schema is used and dropped")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--snapshots", type=int, default=10_000)
     parser.add_argument("--leagues", type=int, default=10)
     parser.add_argument("--matches", type=int, default=100_000)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    told: dict[str, Any] = {
-        "benchmark": "store", "commit": commit(), "load_average_at_start": load(),
+    result: dict[str, Any] = {
+        "load_average_at_start": load(),
         "snapshots": args.snapshots, "leagues": args.leagues, "matches": args.matches,
         "episodes": args.matches * EPISODES,
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        told["sqlite"] = measured(Place(f"{folder}/store", f"{folder}/store/blobs"), "sqlite", args)
+        result["sqlite"] = measured(Place(f"{folder}/store", f"{folder}/store/blobs"), "sqlite", args)
     if args.server:
         with tempfile.TemporaryDirectory() as folder:
             for url in schema(args.server):
-                told["postgresql"] = measured(Place(url, folder), "postgresql", args)
-    tell({**told, "machine": machine()}, args.out)
+                result["postgresql"] = measured(Place(url, folder), "postgresql", args)
+    report({**run_info(args.commit), **result}, args.out)
 
 
 def schema(server: str) -> Iterator[str]:
-    """A URL under which everything goes into a new schema, dropped at the end."""
+    """Yield a URL that uses a new schema, which is dropped at the end."""
     url, new = sa.make_url(server).set(drivername="postgresql+psycopg"), f"bench_{secrets.token_hex(4)}"
     engine = sa.create_engine(url)
     with engine.begin() as db:
