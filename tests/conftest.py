@@ -1,18 +1,74 @@
+import gc
 import os
 import secrets
 import shutil
+import sys
+import zlib
 from collections.abc import Iterator
-from typing import NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
 import pytest
 import sqlalchemy as sa
 
-os.environ.setdefault("NPROC", "4")  # XLA's threads: with two of them MJX in JAX can hang, see arenas/engines.py
+os.environ.setdefault(
+    "NPROC", "4"
+)  # XLA's threads: with two of them MJX in JAX can hang, see arenas/physics/registry.py
+
+# JAX keeps compiled programs for later tests and for the slow suite. JAX writes its files without a lock, so each
+# process of pytest-xdist has a folder of its own.
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR",
+    str(Path(__file__).parents[1] / ".pytest_cache" / "compiled" / os.environ.get("PYTEST_XDIST_WORKER", "main")),
+)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 from dashboards.errors import ViewerError
-from dashboards.headless import NO_DRIVER, headless_viewer
+from dashboards.viewer.headless import NO_DRIVER, headless_viewer
 
 SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
+
+
+def _seed(text: str) -> None:
+    """Seed torch's global generator, so that no result depends on the tests that ran before in this process."""
+    if "torch" in sys.modules:
+        import torch
+
+        torch.manual_seed(zlib.crc32(text.encode()))
+
+
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef, request: pytest.FixtureRequest) -> None:
+    """Seed before each fixture is built: one of a session may be built in any test."""
+    _seed(str(fixturedef.argname))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> None:
+    """Seed before each test."""
+    _seed(item.nodeid)
+
+
+def pytest_collection_finish() -> None:
+    """Leave what has been imported out of garbage collections: each would look through it for half a second."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep a folder's tests in one process under `--dist loadfile`.
+
+    They use the same arenas, and each process compiles those by itself.
+    """
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class LoadFolderScheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid.partition("::")[0].rpartition("/")[0]
+
+    return LoadFolderScheduling(config, log)
 
 
 @pytest.fixture(scope="session")

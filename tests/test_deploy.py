@@ -10,10 +10,11 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from league import cli
-from league.commands import worker
+from league.commands import cli
 from league.commands.options import parse
+from league.commands.run import join
 from league.config import experiment as configuration
+from league.system import exit_codes
 from tests.league.conftest import ROOT
 
 DEPLOY = ROOT / "deploy"
@@ -35,6 +36,26 @@ def test_systemd_takes_its_units(unit, tmp_path):
     broken = tmp_path / unit
     broken.write_text((DEPLOY / unit).read_text().replace("Restart=", "Restort="))
     assert "Restort" in said("systemd-analyze", "verify", broken)
+
+
+@pytest.mark.parametrize(
+    ("unit", "left"),
+    [("league.service", {exit_codes.BAD_INPUT}), ("league-worker.service", {exit_codes.BAD_INPUT, exit_codes.UNFIT})],
+)
+def test_systemd_starts_again_what_may_pass_for_as_long_as_that_takes_and_leaves_the_rest_to_a_person(unit, left):
+    settings = dict(re.findall(r"^(\w+)=(.*)$", (DEPLOY / unit).read_text(), re.MULTILINE))
+    assert settings["Restart"] in ("on-failure", "always")
+    assert set(map(int, settings["RestartPreventExitStatus"].split())) == left
+    assert settings["StartLimitIntervalSec"] == "0"
+
+
+def test_every_exit_code_is_told_in_the_help_and_in_the_docs(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["help"])
+    told, page = capsys.readouterr().out, (ROOT / "docs" / "deploy.md").read_text()
+    for code in exit_codes.MEANINGS:
+        assert re.search(rf"^  {code} +\S", told, re.MULTILINE)
+        assert f"| {code} |" in page
 
 
 def test_the_script_for_slurm_is_one_of_bash():
@@ -75,7 +96,7 @@ def test_the_commands_that_they_start_are_ours_and_take_their_flags():
     for program, command, *args in started:
         assert (program, command in cli.COMMANDS) == ("league", True)
         if command == "worker":
-            assert parse(worker.WorkerOptions, args, "worker", "").wait
+            assert parse(join.WorkerOptions, args, "worker", "").wait
         else:
             settings = manifests()[0]["data"]["league.toml"]
             assert [word for word in args if word.startswith("--")] == ["--store"]

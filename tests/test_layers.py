@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from textwrap import dedent
 
@@ -10,6 +11,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("league", "dashboards", "agents", "matchmaking", "arenas", "storage")
+MOST = 12  # modules and folders of a folder
+FORMER_NAMES = {f"arenas/{name}.py" for name in ("options", "about", "props", "hooks")}
+IN_EVERY_GAME = {
+    "settings", "match", "scripts", "observation", "observation_layout", "stages", "starts", "errors",
+}  # fmt: skip
 
 
 def run(*command: str | Path) -> str:
@@ -30,6 +36,12 @@ def packages_imported(source: str) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
+def modules(package: str) -> list[Path]:
+    """Return the files of a package's modules, relative to the repository, without those kept for a former name."""
+    files = [file.relative_to(ROOT) for file in (ROOT / package).rglob("*.py") if file.name != "__init__.py"]
+    return sorted(file for file in files if file.as_posix() not in FORMER_NAMES)
+
+
 def test_folders_import_only_downwards():
     assert "0 broken" in run(Path(sys.executable).with_name("lint-imports"))
 
@@ -48,12 +60,12 @@ def test_only_the_bridge_imports_both_jax_and_torch():
 
 @pytest.mark.parametrize("heavy", ["jax", "torch", "mujoco"])
 def test_the_command_line_starts_without(heavy):
-    loaded = run(sys.executable, "-c", "import league.cli, sys; print(*sys.modules, sep='\\n')").splitlines()
-    assert "league.cli" in loaded
+    loaded = run(sys.executable, "-c", "import league.commands.cli, sys; print(*sys.modules, sep='\\n')").splitlines()
+    assert "league.commands.cli" in loaded
     assert heavy not in loaded
 
 
-@pytest.mark.parametrize("heavy", ["jax", "torch", "mujoco"])
+@pytest.mark.parametrize("heavy", ["jax", "torch", "mujoco", "gymnasium", "pettingzoo"])
 def test_arenas_settings_load_without(heavy):
     text = "import arenas, sys; print(len(arenas.known()), *sys.modules, sep='\\n')"
     count, *loaded = run(sys.executable, "-c", text).splitlines()
@@ -66,7 +78,7 @@ def test_learning_starts_without_torch_compile():
     text = """
         import sys, torch
         from torch import nn
-        from agents.optimise import Adam, step
+        from agents.learner.optimizer import Adam, step
         layer = nn.Linear(2, 2)
         before = layer.weight.detach().clone()
         gradient = [torch.ones_like(p) for p in layer.parameters()]
@@ -76,3 +88,19 @@ def test_learning_starts_without_torch_compile():
     moved, loaded = run(sys.executable, "-c", dedent(text)).split()
     assert float(moved) == pytest.approx(0.1, rel=1e-3)
     assert loaded == "False"
+
+
+@pytest.mark.parametrize("package", FOLDERS)
+def test_folders_are_small_enough_to_be_seen_at_once(package):
+    entries: dict[str, set[str]] = {}
+    for file in modules(package):
+        parts = file.parts
+        for depth in range(1, len(parts)):
+            entries.setdefault("/".join(parts[:depth]), set()).add(parts[depth])
+    assert {folder: sorted(names) for folder, names in entries.items() if len(names) > MOST} == {}
+
+
+@pytest.mark.parametrize("package", FOLDERS)
+def test_no_two_folders_of_a_package_have_modules_of_one_name(package):
+    names = Counter(file.stem for file in modules(package))
+    assert {name for name, count in names.items() if count > 1} - IN_EVERY_GAME == set()

@@ -8,12 +8,12 @@ import torch
 
 import arenas
 from agents.batch import Batch, Sequences
-from agents.happo import Learner
-from agents.networks import Actor, Squashed
-from agents.rollout import make_rollout
+from agents.learner.happo import Learner
+from agents.policy.networks import Actor, SquashedGaussian
+from agents.rollout.rollout import make_rollout
 from agents.settings import Architecture
 from arenas.arena import Arena
-from arenas.sumo import SumoRules
+from arenas.games.sumo import SumoRules
 
 
 def scrambled_actor(seed: int, architecture: Architecture, observations: int = 20, actions: int = 2) -> Actor:
@@ -49,7 +49,7 @@ def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float 
         gaussians = [actor.gaussian(o) for actor, o in zip(learner.actors, observations, strict=True)]
         actions = [p.mean + p.stddev * normal(*p.mean.shape) for p in gaussians]
         actions = [
-            p.limit * torch.tanh(a / p.limit) if isinstance(p, Squashed) else a
+            p.limit * torch.tanh(a / p.limit) if isinstance(p, SquashedGaussian) else a
             for p, a in zip(policies, actions, strict=True)
         ]
         log_probs = [
@@ -64,7 +64,11 @@ def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float 
 
 def remembered_batch(learner: Learner, seed: int, T: int, N: int, void: float) -> Batch:
     """The same of recurrent actors, one decision after the other."""
-    rng, chunk, units = torch.Generator().manual_seed(seed), learner.config.chunk, learner.config.architecture.recurrent
+    rng, chunk, units = (
+        torch.Generator().manual_seed(seed),
+        learner.config.chunk_length,
+        learner.config.architecture.recurrent,
+    )
 
     def normal(*shape: int) -> torch.Tensor:
         return torch.randn(shape, generator=rng)
@@ -85,7 +89,7 @@ def remembered_batch(learner: Learner, seed: int, T: int, N: int, void: float) -
                 now = Sequences(observations[i][t][:, None], first[t][:, None], memory)
                 policy, gaussian = actor(now), actor.gaussian(now)
                 action = gaussian.mean + gaussian.stddev * normal(*gaussian.mean.shape)
-                if isinstance(policy, Squashed):
+                if isinstance(policy, SquashedGaussian):
                     action = policy.limit * torch.tanh(action / policy.limit)
                 actions[i].append(action[:, 0])
                 stale = 0.3 * (2 * torch.rand(N, generator=rng) - 1)
@@ -94,8 +98,8 @@ def remembered_batch(learner: Learner, seed: int, T: int, N: int, void: float) -
     actions, log_probs, memories = ([torch.stack(x) for x in each] for each in (actions, log_probs, memories))
     alive = [torch.ones((T, N), dtype=torch.bool) for _ in learner.actors]
     batch = Batch(observations, following, actions, log_probs, alive, alive, normal(T, N) + 2.0, *kinds)
-    recalled = [0.5 * normal(N, units) for _ in learner.critic_learners]
-    return batch._replace(first=[first], memories=memories, recalled=recalled)
+    critic_memories = [0.5 * normal(N, units) for _ in learner.critic_learners]
+    return batch._replace(first=[first], memories=memories, critic_memories=critic_memories)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -134,8 +138,8 @@ def short_rollout(short_sumo) -> jax.stages.Wrapped:
 def same() -> Callable[[object, object], bool]:
     """Whether two trees of arrays agree bit for bit."""
 
-    def compare(a: object, b: object) -> bool:
+    def check_ranks_agree(a: object, b: object) -> bool:
         equal = jax.tree.map(lambda x, y: bool(np.array_equal(x, y)), a, b)
         return all(jax.tree.leaves(equal))
 
-    return compare
+    return check_ranks_agree

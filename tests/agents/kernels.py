@@ -46,7 +46,7 @@ def fresh(func: Any, result: Any) -> list[torch.Tensor]:
     """The tensors that a kernel has made, not those that it was given."""
     returns = func._schema.returns
     each = zip(result if len(returns) > 1 else [result], returns, strict=True) if returns else ()
-    leaves = [x for made, about in each if about.alias_info is None for x in pytree.tree_leaves(made)]
+    leaves = [x for spec, about in each if about.alias_info is None for x in pytree.tree_leaves(spec)]
     return [x for x in leaves if isinstance(x, torch.Tensor)]
 
 
@@ -58,14 +58,14 @@ class NoNumbers(TorchFunctionMode):
     """Refuses what would copy numbers of the host to the device."""
 
     def __torch_function__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
-        made = func in (torch.tensor, torch.as_tensor, torch.from_numpy)
-        if made or (func in (torch.where, torch.Tensor.where) and any(isinstance(x, (int, float)) for x in args)):
+        spec = func in (torch.tensor, torch.as_tensor, torch.from_numpy)
+        if spec or (func in (torch.where, torch.Tensor.where) and any(isinstance(x, (int, float)) for x in args)):
             raise RuntimeError(f"{func.__name__} waits for the device")
         return func(*args, **(kwargs or {}))
 
 
 def record(function: Callable[[], None], pool: object, stream: object) -> Callable[[], None]:
-    """What launches a function's kernels again, in the place of `agents.graphs.record`."""
+    """Return a function that launches the kernels again, in the place of `agents.devices.cuda_graphs.record`."""
     recorder = Recorder()
     with recorder, NoNumbers():
         function()

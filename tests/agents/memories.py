@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from agents.happo import Learner
-from agents.networks import GRU
+from agents.learner.happo import Learner
+from agents.policy.networks import GRU
 from agents.settings import HappoConfig
 
 
@@ -25,7 +25,7 @@ def cell_of(gru: GRU) -> torch.nn.GRUCell:
     return cell.to(gru.weight_ih.dtype)
 
 
-def along(cell: torch.nn.GRUCell, x: Tensor, first: Tensor, memory: Tensor) -> Tensor:
+def evaluate_sequence(cell: torch.nn.GRUCell, x: Tensor, first: Tensor, memory: Tensor) -> Tensor:
     """What the cell remembers (B, L, units) over sequences, each episode from nothing."""
     states = []
     for t in range(x.shape[1]):

@@ -6,12 +6,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from agents.happo import Learner
+from agents.learner.happo import Learner
 from agents.settings import Architecture, HappoConfig
 
 PLAIN = HappoConfig(
-    Architecture((5,)), lr=0.02, critic_lr=0.05, gamma=0.0, entropy=0.01, epochs=3, minibatches=1, max_grad_norm=0.02,
-    fixed_order=True, value_norm=False,
+    Architecture((5,)), lr=0.02, critic_lr=0.05, gamma=0.0, entropy_coef=0.01, epochs=3, minibatches=1,
+    max_grad_norm=0.02, fixed_order=True, value_norm=False,
 )  # fmt: skip
 FULL = replace(
     PLAIN, gamma=0.97, epochs=2, minibatches=3, fixed_order=False, value_norm=True, normalise_observations=True
@@ -55,7 +55,7 @@ def ppo(actor: torch.nn.Module, obs: Tensor, actions: Tensor, old: Tensor, A: Te
         r = (log_probs - old).exp()
         bound = torch.where(A > 0, torch.full_like(A, 1 + c.clip), torch.full_like(A, 1 - c.clip))
         gain = torch.where(A > 0, torch.minimum(r, bound), torch.maximum(r, bound)) * A
-        adam_step(actor, optimizer, -gain.mean() - c.entropy * entropy, c.max_grad_norm)
+        adam_step(actor, optimizer, -gain.mean() - c.entropy_coef * entropy, c.max_grad_norm)
         clipped = float((gain != r * A).float().mean())
     return clipped
 

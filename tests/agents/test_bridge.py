@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agents.bridge import common_order, common_size, team_batch, unlearnt
-from agents.rollout import Seen, Trajectory
+from agents.bridge import common_critic_order, common_critic_size, evaluation_trajectory, team_batch
+from agents.rollout.rollout import CriticObservations, Trajectory
 from arenas.state import AgentSpec, TeamSpec
 
 T, N = 3, 5
@@ -65,9 +65,9 @@ def test_who_breaks_physics_has_lost_and_the_others_know_nothing_of_it(trajector
     void, blamed = np.array(trajectory.void), np.zeros((T, N, 2), bool)
     blamed[..., 1] = void & (np.arange(N) < 3)
     assert 0 < blamed.sum() < void.sum()
-    told = trajectory._replace(culprits=jnp.asarray(blamed), reward=trajectory.reward.at[void].set(np.nan))
+    told = trajectory._replace(at_fault=jnp.asarray(blamed), reward=trajectory.reward.at[void].set(np.nan))
 
-    batch = team_batch(told, RED, 1, slice(None), shaping=0.5, blame=2.0)
+    batch = team_batch(told, RED, 1, slice(None), shaping=0.5, void_penalty=2.0)
     own = blamed[..., 1]
     assert (np.asarray(batch.rewards.cpu())[own] == -2.0).all()
     assert np.asarray(batch.terminated.cpu())[own].all()
@@ -83,14 +83,14 @@ def test_who_breaks_physics_has_lost_and_the_others_know_nothing_of_it(trajector
 def test_a_critic_of_the_whole_state_gets_it_behind_what_its_team_sees_with_what_its_team_earned(trajectory):
     whole, mine = tuple(encoded(field, 0, 4) for field in (8, 9)), np.array([4, 0])
     batch = team_batch(trajectory._replace(whole=whole), RED, 1, mine, shaping=0.5, privileged=True)
-    (side,) = batch.sides
+    (side,) = batch.critic_views
     sights = (side.seen, batch.observations, batch.alive), (side.next_seen, batch.next_observations, batch.next_alive)
     for state, (seen, own, alive) in zip(whole, sights, strict=True):
         shown = [np.where(a.cpu()[..., None], o.cpu(), 0.0) for o, a in zip(own, alive, strict=True)]
         np.testing.assert_array_equal(seen.cpu(), np.concatenate([*shown, state[:, mine]], -1))
     assert not all(alive.all() for alive in batch.alive)
     assert all(x is y for x, y in zip(side[2:], (batch.rewards, batch.terminated, batch.void), strict=True))
-    assert not team_batch(trajectory, RED, 1, slice(None), shaping=0.5).sides
+    assert not team_batch(trajectory, RED, 1, slice(None), shaping=0.5).critic_views
 
 
 BLUE = TeamSpec("blue", (AgentSpec("blue/0", "ant", 4, 1),))
@@ -99,11 +99,11 @@ BLUE = TeamSpec("blue", (AgentSpec("blue/0", "ant", 4, 1),))
 def test_a_common_critic_learns_from_every_team_by_its_own_rewards_and_is_told_whose_they_are(trajectory):
     blamed = np.zeros((T, N, 2), bool)
     blamed[..., 1] = np.array(trajectory.void)
-    told = trajectory._replace(culprits=jnp.asarray(blamed))
+    told = trajectory._replace(at_fault=jnp.asarray(blamed))
     mine = np.array([4, 0])
     batch = team_batch(told, RED, 1, mine, shaping=0.5, common=(BLUE, RED))
-    assert common_size((BLUE, RED)) == 2 + 4 + 2 + 3
-    for side, index in zip(batch.sides, (1, 0), strict=True):
+    assert common_critic_size((BLUE, RED)) == 2 + 4 + 2 + 3
+    for side, index in zip(batch.critic_views, (1, 0), strict=True):
         alone = team_batch(told, (BLUE, RED)[index], index, mine, shaping=0.5)
         for ours, theirs in zip(side[2:], (alone.rewards, alone.terminated, alone.void), strict=True):
             np.testing.assert_array_equal(ours.cpu(), theirs.cpu())
@@ -111,15 +111,17 @@ def test_a_common_critic_learns_from_every_team_by_its_own_rewards_and_is_told_w
         for field, found in ((1, side.seen), (2, side.next_seen)):
             agents = [encoded(field, a, AGENTS[name][0])[:, mine] for a, name in enumerate(AGENTS)]
             np.testing.assert_array_equal(found.cpu(), np.concatenate([*seen, *agents], -1))
-    assert batch.sides[0].terminated.any() and not batch.sides[0].void.any()  # noqa: PT018  (who breaks it has lost)
-    assert batch.sides[1].void.any()
+    assert batch.critic_views[0].terminated.any() and not batch.critic_views[0].void.any()  # noqa: PT018  (who breaks it has lost)
+    assert batch.critic_views[1].void.any()
 
 
 @pytest.mark.parametrize("index", [0, 1])
 def test_what_is_judged_is_seen_as_what_is_learnt_from(trajectory, index):
     """Also where some are out of the game, and of others, of the whole state and of what is common to all."""
     teams, whole = (BLUE, RED), tuple(encoded(field, 0, 4) for field in (8, 9))
-    judged = unlearnt(Seen(trajectory.observations, trajectory.alive, whole[:1]), teams, recurrent=True)
+    judged = evaluation_trajectory(
+        CriticObservations(trajectory.observations, trajectory.alive, whole[:1]), teams, recurrent=True
+    )
     for more in ({"others": [teams[1 - index]]}, {"privileged": True}, {"common": teams}):
         found, learnt = (
             team_batch(each, teams[index], index, slice(None), shaping=0.5, **more)
@@ -128,7 +130,7 @@ def test_what_is_judged_is_seen_as_what_is_learnt_from(trajectory, index):
         for name in ("observations", "alive", "others", "others_alive"):
             for x, y in zip(getattr(found, name), getattr(learnt, name), strict=True):
                 np.testing.assert_array_equal(x.cpu(), y.cpu())
-        for x, y in zip(found.sides, learnt.sides, strict=True):
+        for x, y in zip(found.critic_views, learnt.critic_views, strict=True):
             np.testing.assert_array_equal(x.seen.cpu(), y.seen.cpu())
         assert found.first[0][0].all()
         assert not found.first[0][1:].any()
@@ -138,5 +140,5 @@ def test_what_is_judged_is_seen_as_what_is_learnt_from(trajectory, index):
 def test_teams_of_one_roster_see_themselves_in_one_place():
     ants, rovers = ((AgentSpec("a", "ant", 4, 1),), (AgentSpec("r", "rover", 4, 1),))
     teams = [TeamSpec(str(i), agents) for i, agents in enumerate((rovers, ants, ants, rovers))]
-    assert [common_order(teams, t) for t in range(4)] == [[0, 1, 2, 3], [0, 1, 2, 3], [0, 2, 1, 3], [3, 1, 2, 0]]
-    assert [common_order(teams[:2], t) for t in range(2)] == [[0, 1], [0, 1]]
+    assert [common_critic_order(teams, t) for t in range(4)] == [[0, 1, 2, 3], [0, 1, 2, 3], [0, 2, 1, 3], [3, 1, 2, 0]]
+    assert [common_critic_order(teams[:2], t) for t in range(2)] == [[0, 1], [0, 1]]

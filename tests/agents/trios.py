@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from agents.happo import Learner
+from agents.learner.happo import Learner
 from agents.settings import Architecture, HappoConfig
 
 PLAIN = HappoConfig(

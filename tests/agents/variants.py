@@ -7,23 +7,23 @@ from typing import Any
 import torch
 from torch.utils import _pytree as pytree
 
-from agents.batch import Batch, Side
-from agents.happo import Learner
+from agents.batch import Batch, CriticView
+from agents.learner.happo import Learner
 from agents.settings import Architecture, HappoConfig
 
 BASE = HappoConfig(
     Architecture((6,)), lr=0.01, critic_lr=0.02, epochs=3, minibatches=3, normalise_observations=True, max_grad_norm=0.5
 )
-RECURRENT = {"architecture": Architecture((6,), recurrent=5), "chunk": 4}
+RECURRENT = {"architecture": Architecture((6,), recurrent=5), "chunk_length": 4}
 VARIANTS: dict[str, dict[str, Any]] = {
     "happo": {},
     "mappo": {"method": "mappo"},
     "ippo": {"method": "ippo"},
     "hatrpo": {"method": "hatrpo"},
     "shared": {"share_actors": True},
-    "kl_stop": {"kl_stop": 0.02},
-    "kl_step": {"kl_step": 0.01},
-    "decay": {"decay_steps": 400},
+    "target_kl": {"target_kl": 0.02},
+    "desired_kl": {"desired_kl": 0.01},
+    "decay": {"lr_decay_steps": 400},
     "privileged": {"critic_input": "privileged"},
     "same": {"critic_input": "same"},
     "recurrent": RECURRENT,
@@ -35,7 +35,7 @@ EVERY_UPDATE = VARIANTS | {  # also where networks and precisions make other ker
     "squashed": {"architecture": Architecture((6,), squash=1.5, state_std=True)},
     "bf16": {"precision": "bf16"},
     "recurrent, shared": {
-        "architecture": Architecture((6,), "elu", True, recurrent=5), "chunk": 2, "share_actors": True
+        "architecture": Architecture((6,), "elu", True, recurrent=5), "chunk_length": 2, "share_actors": True
     },
     "recurrent bf16": RECURRENT | {"precision": "bf16"},
     "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
@@ -44,24 +44,24 @@ SIGHT = 7  # numbers that a critic sees which sees no observations
 SIDES = {"privileged": 1, "same": 2}  # from which such a critic learns
 
 
-def with_sides(batch: Batch, sides: int, size: int = SIGHT, seed: int = 12) -> Batch:
+def with_sides(batch: Batch, critic_views: int, size: int = SIGHT, seed: int = 12) -> Batch:
     """The batch with what a critic sees from the team's own side and others; those end and break elsewhere."""
     rng = torch.Generator().manual_seed(seed)
     shape = batch.rewards.shape
 
-    def side(number: int) -> Side:
+    def side(number: int) -> CriticView:
         seen, then = (torch.randn((*shape, size), generator=rng) for _ in range(2))
         if number == 0:
-            return Side(seen, then, batch.rewards, batch.terminated, batch.void)
+            return CriticView(seen, then, batch.rewards, batch.terminated, batch.void)
         ends, broken = (torch.rand(shape, generator=rng) < 0.1 for _ in range(2))
-        return Side(seen, then, torch.randn(shape, generator=rng) - 1.0, ends, broken)
+        return CriticView(seen, then, torch.randn(shape, generator=rng) - 1.0, ends, broken)
 
-    return batch._replace(sides=[side(number) for number in range(sides)])
+    return batch._replace(critic_views=[side(number) for number in range(critic_views)])
 
 
 def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
     """A batch with void decisions and agents that are out of the game."""
-    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, graphs=False), 3, sight=SIGHT)
+    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, cuda_graphs=False), 3, critic_size=SIGHT)
     batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
     alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
     batch = batch._replace(alive=alive[:3], next_alive=alive[3:])

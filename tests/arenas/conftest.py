@@ -9,9 +9,9 @@ import pytest
 from jax import Array
 
 import arenas
-from arenas.physics import Physics
+from arenas.games.sumo.match import Sumo
+from arenas.physics.engine import Physics
 from arenas.state import State
-from arenas.sumo.match import Sumo
 
 
 class Worlds:
@@ -46,9 +46,9 @@ class Worlds:
 
         @jax.jit
         def run(key: Array) -> State:
-            starts, dice = jax.random.split(key)
+            starts, actions_key = jax.random.split(key)
             state = jax.vmap(arena.reset)(jax.random.split(starts, worlds))
-            return jax.lax.scan(decision, state, jax.random.split(dice, arena.timing.decisions))[1]
+            return jax.lax.scan(decision, state, jax.random.split(actions_key, arena.timing.decisions))[1]
 
         return jax.device_get(run(jax.random.key(seed)))
 
@@ -92,7 +92,7 @@ def stand() -> Callable[..., Physics]:
             qpos[at.qpos : at.qpos + 7] = [x, y, z, *(on_back if i in flipped else upright)]
             vx, vy, yaw_rate = (velocity or {}).get(i, (0, 0, 0))
             qvel[at.qvel : at.qvel + 6] = [vx, vy, 0, 0, 0, yaw_rate]
-        numbers = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(model.nu), time))
-        return Physics(*numbers, unstable=jnp.zeros((), bool), carry=())
+        total_size = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(model.nu), time))
+        return Physics(*total_size, causes=jnp.zeros((), jnp.uint8), carry=())
 
     return stand

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.arena import Arena
-from arenas.options import Timing, Where
-from arenas.physics import Physics
+from arenas.arena_settings import EngineOptions, Timing
+from arenas.physics.engine import Physics
 from arenas.robots.robot import Robot, Script
 from arenas.state import Verdict
 
@@ -32,7 +32,7 @@ class EchoSettings:
     rules: EchoRules = field(default_factory=EchoRules)
     """How long the cue is to be kept in mind."""
 
-    def build(self, **where: Unpack[Where]) -> "Echo":
+    def build(self, **where: Unpack[EngineOptions]) -> "Echo":
         """The arena itself."""
         return Echo(self, **where)
 
@@ -47,7 +47,7 @@ class Heard(NamedTuple):
 class Echo(Arena):
     """The first observation shows the cue, 1 or -1; those after it nothing, and the last that it is time to answer."""
 
-    def __init__(self, settings: EchoSettings, **where: Unpack[Where]):
+    def __init__(self, settings: EchoSettings, **where: Unpack[EngineOptions]):
         timing = Timing(timestep=1.0, substeps=1, hold=1, episode=settings.rules.delay + 1.0)
         listener = Robot("listener", 1, scripts={"deaf": lambda observation, key: jnp.ones(1)})
         super().__init__(settings.name, {"pupil": (listener,)}, timing, asdict(settings.rules), **where)

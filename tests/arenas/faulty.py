@@ -30,6 +30,8 @@ class TwiceEnded(Race):
 class Doomed(Race):
     """Red is out of the game from 0.45 s on, amid a decision."""
 
+    exchangeable = False
+
     def alive(self, physics, game):
         return jnp.stack([jnp.ones((), bool), physics.time < 0.45])
 

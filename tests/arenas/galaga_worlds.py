@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import arenas
-from arenas.galaga.match import Game
-from arenas.physics import Physics
+from arenas.games.galaga.match import GameState
+from arenas.physics.engine import Physics
 
 PIVOT = 0.05 + 0.06  # m above the ground, of a tank that stands
 
@@ -40,15 +40,15 @@ def put(arena, drones=(), tanks=((0.0, 0.0),), barrels=((0.0, 0.0),), time=1.0, 
         at = arena.scene.agents[name]
         qpos[at.qpos : at.qpos + 7] = [*place, *moving.get("quat", (1, 0, 0, 0))]
         qvel[at.qvel : at.qvel + 6] = [*moving.get("velocity", (0, 0, 0)), *moving.get("rates", (0, 0, 0))]
-    numbers = (jnp.asarray(v, jnp.float32) for v in (qpos, qvel, np.zeros(model.nu), time))
-    return Physics(*numbers, unstable=jnp.zeros((), bool), carry=())
+    total_size = (jnp.asarray(v, jnp.float32) for v in (qpos, qvel, np.zeros(model.nu), time))
+    return Physics(*total_size, causes=jnp.zeros((), jnp.uint8), carry=())
 
 
 def game(goals, alive=None, reached=None, pending=(False, False)):
     """A game with these goals, in which by default all live and none has arrived."""
     goals = jnp.asarray(goals, jnp.float32)
     alive, reached = alive or [True] * len(goals), reached or [False] * len(goals)
-    return Game(goals, jnp.array(alive), jnp.array(reached), jnp.array(pending))
+    return GameState(goals, jnp.array(alive), jnp.array(reached), jnp.array(pending))
 
 
 def judged(arena, physics, playing, before=None):

@@ -5,7 +5,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from arenas.physics import Physics
+from arenas.physics.engine import Physics
 
 
 def put(arena, poses, ball=(0.0, 0.0), rolls=(0.0, 0.0), height=None, time=1.0, flipped=(), moves=None, up=None):
@@ -26,5 +26,5 @@ def put(arena, poses, ball=(0.0, 0.0), rolls=(0.0, 0.0), height=None, time=1.0, 
     qpos[at.qpos : at.qpos + 2] = ball
     qpos[at.qpos + 2] = arena.rules.ball.radius if height is None else height
     qvel[at.qvel : at.qvel + 2] = rolls
-    numbers = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(model.nu), time))
-    return Physics(*numbers, unstable=jnp.zeros((), bool), carry=())
+    total_size = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(model.nu), time))
+    return Physics(*total_size, causes=jnp.zeros((), jnp.uint8), carry=())

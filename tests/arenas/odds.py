@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.arena import Arena
-from arenas.options import Timing, Where
-from arenas.physics import Physics
+from arenas.arena_settings import EngineOptions, Timing
+from arenas.physics.engine import Physics
 from arenas.robots.robot import Robot, Script
 from arenas.state import Verdict
 
@@ -30,7 +30,7 @@ class OddsSettings:
     name: str = "odds"
     """The arena's name."""
 
-    def build(self, **where: Unpack[Where]) -> "Odds":
+    def build(self, **where: Unpack[EngineOptions]) -> "Odds":
         """The arena itself."""
         return Odds(self, **where)
 
@@ -38,7 +38,9 @@ class OddsSettings:
 class Odds(Arena):
     """Two gamblers."""
 
-    def __init__(self, settings: OddsSettings, **where: Unpack[Where]):
+    exchangeable = True
+
+    def __init__(self, settings: OddsSettings, **where: Unpack[EngineOptions]):
         robot = Robot("gambler", 1, scripts={name: _gambler(elo) for name, elo in STRENGTHS.items()})
         super().__init__(settings.name, {"blue": (robot,), "red": (robot,)}, SECOND, {}, **where)
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from arenas.arena import Arena
-from arenas.physics import Physics
+from arenas.physics.engine import Physics
 
 Places = Mapping[str, tuple[float, float]]
 
@@ -18,5 +18,5 @@ def put(arena: Arena, places: Places, time: float = 1.0, moving: Places | None =
     for i, (name, at) in enumerate(things.items()):
         qpos[at.qpos : at.qpos + 2] = places.get(name, (10.0 + 3 * i, 10.0))
         qvel[at.qvel : at.qvel + 2] = (moving or {}).get(name, (0.0, 0.0))
-    numbers = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(arena.scene.model.nu), time))
-    return Physics(*numbers, unstable=jnp.zeros((), bool), carry=())
+    total_size = (jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros(arena.scene.model.nu), time))
+    return Physics(*total_size, causes=jnp.zeros((), jnp.uint8), carry=())

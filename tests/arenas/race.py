@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.arena import Arena
-from arenas.options import Timing, Where
-from arenas.physics import Physics
+from arenas.arena_settings import EngineOptions, Timing
+from arenas.physics.engine import Physics
 from arenas.robots.puck import PUCK, RADIUS
 from arenas.robots.robot import Script
 from arenas.state import Verdict
@@ -35,7 +35,7 @@ class RaceSettings:
     rules: RaceRules = field(default_factory=RaceRules)
     """What decides a race."""
 
-    def build(self, **where: Unpack[Where]) -> "Race":
+    def build(self, **where: Unpack[EngineOptions]) -> "Race":
         """The arena itself."""
         return Race(self, **where)
 
@@ -43,7 +43,9 @@ class RaceSettings:
 class Race(Arena):
     """One puck each. The game's own state is where the flag stands, (2,) in metres."""
 
-    def __init__(self, settings: RaceSettings, **where: Unpack[Where]):
+    exchangeable = True
+
+    def __init__(self, settings: RaceSettings, **where: Unpack[EngineOptions]):
         timing = Timing(timestep=0.01, substeps=2, hold=5, episode=settings.rules.episode)
         super().__init__(
             settings.name, {"blue": (PUCK,), "red": (PUCK,)}, timing, asdict(settings.rules),

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.arena import Arena
-from arenas.options import Timing, Where
-from arenas.physics import Physics
+from arenas.arena_settings import EngineOptions, Timing
+from arenas.physics.engine import Physics
 from arenas.robots.puck import PUCK, RADIUS
 from arenas.robots.robot import Script
 from arenas.state import Verdict
@@ -35,7 +35,7 @@ class SoloSettings:
     rules: SoloRules = field(default_factory=SoloRules)
     """What success is."""
 
-    def build(self, **where: Unpack[Where]) -> "Solo":
+    def build(self, **where: Unpack[EngineOptions]) -> "Solo":
         """The arena itself."""
         return Solo(self, **where)
 
@@ -43,7 +43,7 @@ class SoloSettings:
 class Solo(Arena):
     """The flag stands at the origin, the puck starts 1 to 2 m away. Each episode has its own ice: how much it drags."""
 
-    def __init__(self, settings: SoloSettings, **where: Unpack[Where]):
+    def __init__(self, settings: SoloSettings, **where: Unpack[EngineOptions]):
         timing = Timing(timestep=0.01, substeps=2, hold=5, episode=settings.rules.episode)
         super().__init__(settings.name, {"runner": (PUCK,)}, timing, asdict(settings.rules), **where)
         self.rules = settings.rules

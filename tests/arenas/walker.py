@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import mujoco
 
-from arenas.robots.robot import Robot, anything, nothing
+from arenas.robots.robot import Robot, idle_script, random_script
 
 REST = (0.3, -0.3)
 
@@ -43,5 +43,5 @@ WALKER = Robot(
     law=spring,
     proprioception=lambda body: jnp.concatenate([body.angles - jnp.array(REST), body.speeds, body.action]),
     fallen=lambda pose: pose[2] < 0.1,
-    scripts={"idle": nothing(2), "random": anything(2)},
+    scripts={"idle": idle_script(2), "random": random_script(2)},
 )

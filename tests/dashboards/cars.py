@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from storage.recording import Recording, RecordingHeader, from_bytes, to_bytes
+from storage.recordings.recording import Recording, RecordingHeader, from_bytes, to_bytes
 from storage.records import ArenaKey
 
 STEPS = 100

@@ -110,7 +110,7 @@ def test_no_rows_are_said_in_each_format():
 
 def test_html_has_a_tables_cells_and_names_rows_and_columns():
     text = render(
-        [{"name": "<a>", "games": 12800, "elo": None}], [Column("name", whole=True), "games", "elo"], "html", "T"
+        [{"name": "<a>", "games": 12800, "elo": None}], [Column("name", no_wrap=True), "games", "elo"], "html", "T"
     )
     assert text == (
         '<table><caption>T</caption><thead><tr><th scope="col">name</th><th scope="col" class="number">games</th>'
@@ -121,7 +121,7 @@ def test_html_has_a_tables_cells_and_names_rows_and_columns():
 
 
 def test_html_has_a_button_for_a_command_and_nothing_where_there_is_none():
-    text = render([{"type": "ls > x"}, {"type": None}], [Column("type", typed=True)], "html")
+    text = render([{"type": "ls > x"}, {"type": None}], [Column("type", is_command=True)], "html")
     assert '<td><button type="button" class="copy">ls &gt; x</button></td>' in text
     assert "<td></td>" in text
 
@@ -144,7 +144,7 @@ def test_a_table_that_fits_looks_the_same_without_the_library_that_folds(seed, m
     keys = ["alpha", "b", "c_long_title", "d"][: rng.randint(1, 4)]
     values = [None, 1, 2.5, "text é ×", True, 12345, -0.25, "x"]
     rows = [{key: rng.choice(values if key != "d" else [1, 20_000, None]) for key in keys} for _ in range(seed % 7)]
-    columns, title = [Column(key, whole=rng.random() < 0.5) for key in keys], rng.choice(["", "A title"])
+    columns, title = [Column(key, no_wrap=rng.random() < 0.5) for key in keys], rng.choice(["", "A title"])
     assert tables._is_plain(keys, [[str(row[key]) for row in rows] for key in keys], 80)
     plain = render(rows, columns, title=title, width=80)
     monkeypatch.setattr(tables, "_is_plain", lambda *_: False)

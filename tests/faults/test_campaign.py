@@ -1,4 +1,4 @@
-"""A short campaign of harm, by the command that runs the long one: nothing lost, doubled or changed."""
+"""A short campaign of faults, by the command of the long one: nothing is lost, doubled or changed."""
 
 import json
 import random
@@ -9,19 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import harm
-from benchmarks.faults import add, loaded, possible, written
-from benchmarks.harm import Scene
-from benchmarks.hunted import LEAGUE, Hunted, Lost, findings
-from benchmarks.servers import Line, Server, programs
 from storage.store import Store
+from tests.faults import harm
+from tests.faults.faults import add, loaded, possible, written
+from tests.faults.harm import Scene
+from tests.faults.hunted import LEAGUE, Hunted, Lost, findings
+from tests.faults.servers import Line, Server, programs
 from tests.league.conftest import ENVIRONMENT, ROOT
 from tests.storage.sound import fill
 
 
 def campaign(folder, *args: str) -> dict:
     out = folder / "counts.json"
-    call = [sys.executable, str(ROOT / "benchmarks" / "faults.py"), "--out", str(out), "--no-disk", *args]
+    call = [sys.executable, "-m", "tests.faults.faults", "--out", str(out), "--no-disk", *args]
     done = subprocess.run(call, capture_output=True, text=True, timeout=550, env=ENVIRONMENT, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(out.read_text())
@@ -30,20 +30,28 @@ def campaign(folder, *args: str) -> dict:
 @pytest.mark.slow  # a minute or two of two cores
 def test_processes_killed_at_random_moments_cost_nothing(tmp_path):
     rounds = ("--rounds", "1", "--strikes", "4", "--steps", "3072", "--databases", "sqlite")
-    told = campaign(tmp_path, *rounds, "--harm", "kill_one", "kill_all")
-    assert told["lost"] == []
-    assert told["databases"]["sqlite"]["rounds"] == 1
-    assert told["databases"]["sqlite"]["matches"] > 10
-    assert told["processes killed"] > 3
+    counts = campaign(tmp_path, *rounds, "--harm", "kill_one", "kill_all")
+    assert counts["lost"] == []
+    assert counts["databases"]["sqlite"]["rounds"] == 1
+    assert counts["databases"]["sqlite"]["matches"] > 10
+    assert counts["processes killed"] > 3
+
+
+@pytest.mark.slow  # the same
+def test_neither_do_blobs_that_are_unmounted_nor_a_worker_whose_imports_fail(tmp_path):
+    rounds = ("--rounds", "1", "--strikes", "4", "--steps", "6144", "--databases", "sqlite")
+    counts = campaign(tmp_path, *rounds, "--harm", "unmount", "broken_worker", "--seed", "2")
+    assert counts["lost"] == []
+    assert sum(counts["databases"]["sqlite"]["harm"].values()) > 1
 
 
 @pytest.mark.slow  # the same
 @pytest.mark.skipif(programs() is None, reason="no PostgreSQL is installed here")
 def test_neither_does_a_database_that_crashes_or_cannot_be_reached(tmp_path):
     rounds = ("--rounds", "1", "--strikes", "4", "--steps", "3072", "--databases", "postgresql")
-    told = campaign(tmp_path, *rounds, "--harm", "restart_server", "cut_line")
-    assert told["lost"] == []
-    assert sum(told["databases"]["postgresql"]["harm"].values()) > 2
+    counts = campaign(tmp_path, *rounds, "--harm", "restart_server", "cut_line")
+    assert counts["lost"] == []
+    assert sum(counts["databases"]["postgresql"]["harm"].values()) > 2
 
 
 def test_counts_add_up_over_runs(tmp_path):
@@ -60,7 +68,7 @@ def test_counts_add_up_over_runs(tmp_path):
 
 @pytest.fixture
 def scene(tmp_path):
-    """A league that nobody runs, with something in every table."""
+    """A league that does not run, with rows in every table."""
     with Store.open(tmp_path, create=True, blobs=tmp_path / "blobs") as store:
         fill(store)
     return Scene(Hunted(tmp_path, str(tmp_path), 0), random.Random(0))
@@ -70,7 +78,7 @@ def test_a_damaged_blob_is_found_and_nothing_else_is(scene, monkeypatch):
     monkeypatch.setattr(harm, "LEAGUE", "cup")
     assert set(harm.damage(scene)) == {"blob truncated", "blob with a bit flipped", "blob removed"}
     assert findings(scene.hunted) == []
-    monkeypatch.setitem(harm._DAMAGE, "left as it is", lambda data, dice: data)
+    monkeypatch.setitem(harm._DAMAGE, "left as it is", lambda data, rng: data)
     with pytest.raises(Lost, match="a blob was left as it is, and league verify says"):
         harm.damage(scene)
 
@@ -78,10 +86,10 @@ def test_a_damaged_blob_is_found_and_nothing_else_is(scene, monkeypatch):
 def test_only_what_there_is_is_harmed(scene):
     assert LEAGUE != "cup"
     assert {do.__name__ for do in possible(scene, [])} == {
-        "kill_one", "kill_all", "kill_starting", "freeze", "second_manager",
+        "kill_one", "kill_all", "kill_starting", "freeze", "second_manager", "unmount", "broken_worker",
     }  # fmt: skip
     assert [do.__name__ for do in possible(scene, ["kill_all"])] == ["kill_all"]
-    assert harm.kill_all(scene).total() == 1  # nobody to be killed, and that is counted as nobody
+    assert harm.kill_all(scene).total() == 1  # there is no process to kill, which counts as none
 
 
 @pytest.mark.skipif(programs() is None, reason="no PostgreSQL is installed here")

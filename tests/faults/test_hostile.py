@@ -1,4 +1,4 @@
-"""Bad input of every class, a few cases each: one line, exit code 2, nothing changed; thousands: benchmarks/fuzz.py."""
+"""A few cases of bad input of every class: one line, exit code 2, nothing changed. `fuzz.py` tries thousands."""
 
 import ast
 import contextlib
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fuzz import answer, corpus, tally, tried
-from benchmarks.hostile import CLASSES, Case
 from storage.store import Store
+from tests.faults.fuzz import CLASSES, answer, corpus, tally, tried
+from tests.faults.hostile import Case
 from tests.league.conftest import ROOT
 
 CASES = 20
@@ -28,7 +28,7 @@ def kept(tmp_path_factory) -> Path:
 def test_bad_input_is_answered_in_one_line_and_changes_nothing(name: str, kept: Path, tmp_path: Path):
     found = tally(name, CASES, kept, tmp_path / "case", random=0)
     assert found.examples == {}
-    assert found.refused > 0
+    assert (found.refused > 0) == (name != "foreign names")  # a name that a terminal would obey is a name
     assert found.cases >= CASES // 2  # Hypothesis leaves out what it has tried
 
 
@@ -98,7 +98,7 @@ FOUND = {
     "a number of more digits than Python reads": (("run", "big.toml", "--help"), "", 2),
     "an archive that begins too late": (("unpack", "late.zip", "--store", "new"), "", 2),
 }
-"""What the thousands have found, and now has a good answer."""
+"""Bad answers that the campaign of `fuzz.py` found, and that are mended."""
 
 
 @pytest.mark.parametrize("what", FOUND)

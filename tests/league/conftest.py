@@ -1,10 +1,13 @@
 import os
+import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,11 +25,12 @@ T = TypeVar("T")
 # A league as small as can be that still learns, rates and records: 64 worlds, 16 episodes per pair and side.
 SMALL = (
     "--league", "tiny", "--seed", "3", "--training.worlds", "64", "--rating.worlds", "64",
-    "--rating.quota", "32", "--rating.final-quota", "32", "--rating.pairings", "2", "--rating.milestones", "1s",
-    "--workers.nice", "0",
+    "--rating.episodes_per_pair", "32", "--rating.final-episodes-per-pair", "32", "--rating.pairings", "2",
+    "--rating.milestones", "1s", "--workers.nice", "0",
 )  # fmt: skip
 TINY = ("--arena.name", "sumo-1v1", *SMALL)
 PUCKS = ("--arena.name", f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race", *SMALL)  # compiles in half the time
+BODILESS = ("--arena.name", "rock-paper-scissors", *SMALL)  # no physics: compiled in a second, and only once
 
 
 def command(*args: str) -> list[str]:
@@ -37,6 +41,16 @@ def command(*args: str) -> list[str]:
 def call(*args: str, cwd: Path, timeout: float = 540) -> subprocess.CompletedProcess:
     """Run a command to its end."""
     return subprocess.run(command(*args), cwd=cwd, capture_output=True, text=True, timeout=timeout, env=ENVIRONMENT)
+
+
+def said(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
+    """Exit code, output and errors of a command in this process: it has imported all that a new one would import."""
+    from league.commands import cli
+
+    with pytest.raises(SystemExit) as ended:
+        cli.main(list(args))
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
 
 
 def start(*args: str, cwd: Path) -> subprocess.Popen:
@@ -63,13 +77,41 @@ def wait_for(folder: Path, what: Callable[[Store], T], seconds: float = 300) -> 
     pytest.fail(f"waited {seconds} s in vain; the league said:\n{(folder / 'out.txt').read_text()}")
 
 
+def hold(folder: Path, pid: int) -> None:
+    """SIGSTOP between two transactions: who is stopped within one keeps all others from writing, for ever."""
+    while True:
+        os.kill(pid, signal.SIGSTOP)
+        with closing(sqlite3.connect(folder / "league-data" / "league.db", timeout=0.5)) as database:
+            try:
+                database.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.OperationalError:
+                os.kill(pid, signal.SIGCONT)
+        time.sleep(0.05)
+
+
 @pytest.fixture(scope="session")
 def tiny_league(tmp_path_factory):
     """The folder in which a tiny league has been run to the end of its budget, and what it printed."""
     folder = tmp_path_factory.mktemp("tiny")
-    done = call("run", *TINY, "--steps", "33000", "--budget.rate", "30s", cwd=folder)
+    done = call("run", *TINY, "--steps", "33000", "--budget.rating_time", "30s", cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
+
+
+@pytest.fixture(scope="session")
+def bodiless_league(tmp_path_factory) -> Path:
+    """The folder of a league without bodies that has had its budget of four iterations and plays no matches."""
+    folder = tmp_path_factory.mktemp("bodiless")
+    done = call("run", *BODILESS, "--steps", "8192", "--budget.rating_time", "0s", "--workers.match", "0", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture
+def copied_league(bodiless_league, tmp_path) -> None:
+    """Put a copy of that league into the test's folder, to go on with."""
+    shutil.copytree(bodiless_league, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +140,9 @@ def duel_store(tmp_path, duel) -> Iterator[Store]:
 @pytest.fixture
 def packed(tmp_path) -> Path:
     """The archive of a league with something in every table, beside the store that it came from."""
-    from league import moving
+    from league.snapshots import archive
     from tests.league.packs import league_of
 
     with league_of(tmp_path / "source") as store:
-        moving.pack(store, tmp_path / "cup.zip")
+        archive.pack(store, tmp_path / "cup.zip")
     return tmp_path / "cup.zip"

@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 import sqlalchemy as sa
 
-from league import cli, moving
-from league.query import Open
-from storage import tables as t
+from league.commands import cli
+from league.queries.query import Open
+from storage.database import schema as t
+from storage.maintenance import row_transfer
 from storage.records import Checkpoint, CurvePoint, Job, League, Phase, Player, Snapshot
 from storage.store import Store
 from tests.league.leagues import C, filled, finish, match
@@ -34,16 +35,16 @@ def league_of(folder: Path) -> Store:
     store.queue([Job("cup", "any", "waits", {"a": [1, None]}), Job("cup", "other", "leased")], [phase])
     assert store.claim("cup", ["other"], "host:1:x", 60) is not None
     store.set_paused("cup", "red", "for a reason")
-    assert store.lead("cup", "host:2:manager", 60)
-    store.beat("host:1:x", "cup", "other", 1, "host", {"doing": "it"})
+    assert store.acquire_leadership("cup", "host:2:manager", 60)
+    store.heartbeat("host:1:x", "cup", "other", 1, "host", {"doing": "it"})
     return store
 
 
 def rows(store: Store, name: str = "cup") -> dict[str, list]:
     """All that a league's rows say, less what a database gives or a process leaves."""
     found = {}
-    for table in moving.moving.TABLES.values():
-        chosen = moving.moving.columns(table)
+    for table in row_transfer.TABLES.values():
+        chosen = row_transfer.columns(table)
         query = sa.select(*chosen).where((table.c.name if table is t.leagues else table.c.league) == name)
         found[table.name] = sorted(map(repr, store._db.rows(query)))
     return found

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from league import plan
 from league.config import presets
-from league.jobs import TrainingTurn, decode
-from league.standing import Standing
-from matchmaking.ladder import Ladder
+from league.scheduling import turn_scheduler
+from league.state.jobs import TrainingTurn, decode
+from league.state.league_state import LeagueState
+from matchmaking.ratings.ladder import Ladder
 from storage.records import ArenaKey, Checkpoint, Match, PairCounts, Player, Snapshot
 
 KEY = ArenaKey("sumo-2v2", "0", "c")
@@ -32,13 +32,13 @@ def snapshots(*iterations: int, seconds: float = 1.0, players=PLAYERS) -> tuple[
     return (Snapshot("quickstart", "pusher", "p", "rover", script="pusher", origin="scripted"), *frozen)
 
 
-def standing(matches=(), **given) -> Standing:
+def league_state(matches=(), **given) -> LeagueState:
     empty = {"players": PLAYERS, "snapshots": (), "checkpoints": {}, "phases": {}, "jobs": ()}
     values = {**empty, **given}
     names = [s.name for s in values["snapshots"]]
     played = max((m.created for m in matches), default=0.0)
     ladder = Ladder(names, matches, [s.name for s in values["snapshots"] if s.initial])
-    return Standing(**values, ladder=ladder, played=played)
+    return LeagueState(**values, ladder=ladder, played=played)
 
 
 def match(a: str, b: str | None, games: int = 128) -> Match:
@@ -53,14 +53,14 @@ def training(**changes):
 
 
 def turns(config, state) -> list[TrainingTurn]:
-    return [decode(job) for job in plan.next_turns(config, state).jobs]
+    return [decode(job) for job in turn_scheduler.next_turns(config, state).jobs]
 
 
 def pairs_of(planned) -> list[tuple]:
     return [pair for job in planned.jobs for pair in decode(job).pairs]
 
 
-def with_matches(state: Standing, played) -> Standing:
+def with_matches(state: LeagueState, played) -> LeagueState:
     """The same league once these matches, and no others, have been played."""
     names = [s.name for s in state.snapshots]
     return replace(state, ladder=Ladder(names, tuple(played), [s.name for s in state.snapshots if s.initial]))

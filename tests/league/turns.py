@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from league import plan
 from league.config import experiment as configuration
 from league.config import presets
-from league.jobs import decode
-from league.standing import Standing
-from league.train import Trainer
+from league.scheduling import turn_scheduler
+from league.state.jobs import decode
+from league.state.league_state import LeagueState
+from league.training.trainer import Trainer
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.records import League, Player
@@ -19,7 +19,8 @@ LEAGUE = "duel"
 def settings(schedule=Schedule(), opponents=Opponents(), **changes):  # noqa: B008  (frozen)
     """A duel of 16 worlds with turns of four iterations of 8 decisions, that runs until a test has seen enough."""
     config = presets.duel()
-    training = replace(config.training, worlds=16, rollout=8, turn=4, schedule=schedule, opponents=opponents, **changes)
+    size = {"worlds": 16, "rollout_length": 8, "iterations_per_turn": 4}
+    training = replace(config.training, schedule=schedule, opponents=opponents, **size, **changes)
     return replace(config, deterministic=True, training=training, budget=configuration.Budget(steps=10**9))
 
 
@@ -33,7 +34,7 @@ def new_store(place, arena):
 
 def claim(store, config):
     """What is planned is queued, and the next turn taken: its lease and what it says."""
-    planned = plan.next_turns(config, Standing.of(store, LEAGUE))
+    planned = turn_scheduler.next_turns(config, LeagueState.of(store, LEAGUE))
     store.queue(planned.jobs, planned.phases)
     claimed = store.claim(LEAGUE, ["train"], "me", 60)
     assert claimed is not None
@@ -47,17 +48,14 @@ def new_trainer(config, arena, store, worlds=None):
     No program depends on what its trainer has learnt.
     """
     (league,) = store.leagues()
-    made = Trainer(config, arena, store.players(league.name), worlds or config.training.worlds)
-    told_by = (
-        arena, config.training.rollout, config.training.stagger, config.learner.sequence,
-        config.learner.critic_input == "privileged",
-    )  # fmt: skip
-    mine = made._reset, made._restart, made._rollout
-    made._reset, made._restart, made._rollout = _PROGRAMS.setdefault(told_by, mine)
+    programs = next((each for each in _PROGRAMS if each.fit(config, arena)), None)
+    made = Trainer(config, arena, store.players(league.name), worlds or config.training.worlds, programs=programs)
+    if programs is None:
+        _PROGRAMS.append(made.programs)
     return made
 
 
-_PROGRAMS = {}
+_PROGRAMS = []
 
 
 def turns(store, config, arena, count):

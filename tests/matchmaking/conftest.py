@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from matchmaking.ratings import davidson
+from matchmaking.ratings.davidson import davidson
 from storage.records import ArenaKey, Match, PairCounts
 
 SUMO = ArenaKey("sumo", "c0ffee", "c")

@@ -4,8 +4,8 @@ import pytest
 from matchmaking.opponents import (
     Opponents,
     Qualities,
-    Record,
-    Records,
+    WinRecord,
+    WinRecords,
     alphastar,
     by_quality,
     delta_uniform,
@@ -88,7 +88,7 @@ def test_an_unlikely_draw_of_a_whole_turn_does_not_throw_its_quality_away():
 
 
 def test_a_record_is_a_half_until_there_are_enough_games_and_forgets():
-    record = Record.new(10)
+    record = WinRecord.new(10)
     assert record.rate == 0.5
     assert record.after(1, 0, 0, decay=1).rate == pytest.approx(6 / 11)
     assert record.after(0, 0, 1, decay=1).rate == pytest.approx(5 / 11)
@@ -100,15 +100,15 @@ def test_a_record_is_a_half_until_there_are_enough_games_and_forgets():
 
 
 def test_games_one_by_one_count_as_a_batch_of_equal_ones():
-    one_by_one = Record.new()
+    one_by_one = WinRecord.new()
     for _ in range(30):
         one_by_one = one_by_one.after(1, 0, 0)
-    together = Record.new().after(30, 0, 0)
+    together = WinRecord.new().after(30, 0, 0)
     assert (one_by_one.score, one_by_one.games) == pytest.approx((together.score, together.games))
 
 
 def test_a_snapshot_that_was_never_met_inherits_from_the_nearest_that_was():
-    known = Records(parents={"red@2": "red@1", "red@1": "red@0", "red@4": "red@2"})
+    known = WinRecords(parents={"red@2": "red@1", "red@1": "red@0", "red@4": "red@2"})
     known.note("red@1", 90, 0, 10)
     assert known.against("red@4") == known.against("red@1") == known.row["red@1"]
     assert known.against("red@0").rate == 0.5
@@ -188,8 +188,8 @@ def test_settings_of_older_leagues_go_on():
 def test_the_groups_follow_the_share_to_within_one_of_them(past, groups):
     opponents = Opponents(past=past, groups=groups)
     split = opponents.split()
-    assert opponents.true_share == split.past / sum(split)
-    assert abs(opponents.true_share - past) <= 1 / groups
+    assert opponents.actual_share == split.past / sum(split)
+    assert abs(opponents.actual_share - past) <= 1 / groups
     assert (split.past > 0) == (past > 0)
     assert (split.present > 0) == (past < 1)
     assert sum(split) == groups or split == (1, 0)

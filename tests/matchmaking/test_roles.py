@@ -16,7 +16,7 @@ def test_a_declared_role_differs_from_the_built_in_one_in_what_it_says():
     assert hunter.opponents == MAIN_EXPLOITER.opponents
     assert (veteran.opponents, veteran.reset, veteran.win_rate) == (Opponents("pfsp"), "main", None)
     assert role_named("main", declared, OTHERWISE).opponents == OTHERWISE
-    assert not role_named("main", declared, OTHERWISE).has_lives
+    assert not role_named("main", declared, OTHERWISE).has_generations
     assert [role.learns for role in (MAIN, MAIN_EXPLOITER, FIXED)] == [True, True, False]
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from storage.places import BLOBS
+from storage.database.urls import BLOBS_VARIABLE
 from storage.records import ArenaKey, Job, League, Match, PairCounts, Player, Snapshot
 from storage.store import Store
 from tests.conftest import SERVER, server_place
@@ -14,7 +14,7 @@ KEY = ArenaKey("sumo", "c0ffee", "c")
 
 @pytest.fixture(autouse=True)
 def _no_place_from_outside(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delenv(BLOBS, raising=False)
+    monkeypatch.delenv(BLOBS_VARIABLE, raising=False)
 
 
 @pytest.fixture(params=["sqlite", "server"] if SERVER else ["sqlite"])
@@ -52,8 +52,8 @@ def match(seed: int) -> Match:
     return Match("cup", KEY, "blue@0", "red@0", 1, 0, 0, 0, 1, 0, 0, PairCounts(), seed)
 
 
-def finish_a_job(store: Store, **results: Any) -> None:
-    store.queue([Job("cup", "any", f"job {len(store.jobs('cup'))}")])
-    claimed = store.claim("cup", ["any"], "tester", seconds=60)
+def finish_a_job(store: Store, league: str = "cup", **results: Any) -> None:
+    store.queue([Job(league, "any", f"job {len(store.jobs(league))}")])
+    claimed = store.claim(league, ["any"], "tester", seconds=60)
     assert claimed
     store.finish(claimed[0], **results)

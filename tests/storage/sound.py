@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from storage import arrays
-from storage.recording import Recording, RecordingHeader
-from storage.recording import to_bytes as recorded
+from storage.blobs import arrays
+from storage.recordings.recording import Recording, RecordingHeader
+from storage.recordings.recording import to_bytes as recorded
 from storage.records import Checkpoint, CurvePoint, Job, League, Match, Meeting, PairCounts, Phase, Player, Snapshot
 from storage.store import Store
 from tests.storage.conftest import KEY, finish_a_job
@@ -74,7 +74,7 @@ def fill(store: Store) -> None:
         Phase("cup", "1", 0, ("blue",), {"blue": 0, "red": 0}, {"iterations": 50})
     ])  # fmt: skip
     assert store.claim("cup", ["other"], "host:1:x", 60) is not None
-    store.beat("host:1:x", "cup", "other", 1, "host", {"doing": "it"})
+    store.heartbeat("host:1:x", "cup", "other", 1, "host", {"doing": "it"})
 
 
 def contents(folder: Path) -> dict[str, bytes]:

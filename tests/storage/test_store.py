@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from storage import tables
+from storage.database import schema
 from storage.errors import StorageError, UnknownName
 from storage.records import (
     CurvePoint,
@@ -27,7 +27,15 @@ from tests.storage.conftest import KEY, finish_a_job, match, snapshot
 def distinct_match(seed: int, purpose: str = "rating", b: str | None = "red@0") -> Match:
     """Every number is a different one, so that two swapped columns cannot hide."""
     counts = (11, 12, 13, 14, 5, 6, 7, PairCounts(1, 2, 3, 4, 8))
-    more = {"steps": 2**40 + seed, "purpose": purpose, "voids_a": 9, "voids_b": 10, "seconds": 0.5, "due": 21.75}
+    more = {
+        "steps": 2**40 + seed,
+        "purpose": purpose,
+        "voids_a": 9,
+        "voids_b": 10,
+        "seconds": 0.5,
+        "due": 21.75,
+        "causes": 3,
+    }
     return Match("cup", KEY._replace(engine=f"e{seed}"), "blue@0", b, *counts, seed=seed, **more)  # type: ignore[arg-type]
 
 
@@ -48,8 +56,8 @@ def test_an_unknown_league_is_told_with_the_nearest(store: Store):
         store.revision,
         lambda name: store.set_config(name, ""),
         lambda name: store.start_run(name, "", "host", {}),
-        lambda name: store.lead(name, "me", 60),
-        lambda name: store.unlead(name, "me"),
+        lambda name: store.acquire_leadership(name, "me", 60),
+        lambda name: store.release_leadership(name, "me"),
         lambda name: store.queue([Job(name, "match", "a")]),
         lambda name: store.set_paused(name, "blue", None),
         lambda name: store.add_players([Player(name, "blue", 0, "main", "ant")]),
@@ -150,7 +158,7 @@ def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
         lambda: store.queue([], [phase]),
         lambda: store.release(lease()),
         lambda: store.fail(lease(), "error", tries=2, wait=0.0),
-        lambda: store.setback(lease(), "blue", "nan"),
+        lambda: store.record_setback(lease(), "blue", "nan"),
         lambda: store.queue([later]),
         lambda: store.finish(lease(), matches=[match(1)]),
         lambda: store.queue([replace(job, key="c")]),
@@ -169,9 +177,9 @@ def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
         lambda: store.renew(held[0], 60),
         lambda: store.release(Lease(99, "nobody", 1)),
         lambda: store.requeue(99),
-        lambda: store.beat("a:1:0", "cup", "train", 1, "a", {}),
-        lambda: store.trim_workers("cup", -60),
-        lambda: store.lead("cup", "me", 60),
+        lambda: store.heartbeat("a:1:0", "cup", "train", 1, "a", {}),
+        lambda: store.remove_silent_workers("cup", -60),
+        lambda: store.acquire_leadership("cup", "me", 60),
         lambda: store.queue([replace(job, league="other")]),
     ):
         assert not moves(change)
@@ -180,35 +188,35 @@ def test_the_revision_moves_when_there_may_be_something_to_plan(store: Store):
 def test_one_manager_leads_until_it_lets_go_or_is_silent(store: Store):
     store.create_league(League("other", ""))
     assert store.leader("cup") is None
-    assert store.lead("cup", "a", 60)
-    assert store.lead("cup", "a", 3600)
+    assert store.acquire_leadership("cup", "a", 60)
+    assert store.acquire_leadership("cup", "a", 3600)
     holder, until = store.leader("cup") or ("", 0.0)
     assert holder == "a"
     assert 3000 < until - store.now() <= 3600
-    assert not store.lead("cup", "b", 60)
-    assert not store.unlead("cup", "b")
-    assert store.lead("other", "b", 60)
-    assert store.unlead("cup", "a")
+    assert not store.acquire_leadership("cup", "b", 60)
+    assert not store.release_leadership("cup", "b")
+    assert store.acquire_leadership("other", "b", 60)
+    assert store.release_leadership("cup", "a")
     assert store.leader("cup") is None
-    assert store.lead("cup", "b", -1)  # over at once
+    assert store.acquire_leadership("cup", "b", -1)  # over at once
     assert store.leader("cup") is None
-    assert store.lead("cup", "a", 60)
-    assert not store.lead("cup", "b", 60)
+    assert store.acquire_leadership("cup", "a", 60)
+    assert not store.acquire_leadership("cup", "b", 60)
 
 
 def test_workers_are_those_that_beat_lately(store: Store):
-    store.beat("a:1:0", "cup", "train,match", 1, "a", {"doing": "warming up"})
+    store.heartbeat("a:1:0", "cup", "train,match", 1, "a", {"doing": "warming up"})
     (before,) = store.workers("cup", within_seconds=60)
-    store.beat("b:2:0", "cup", "match", 2, "b", {})
+    store.heartbeat("b:2:0", "cup", "match", 2, "b", {})
     time.sleep(0.01)
-    store.beat("a:1:0", "cup", "train,match", 1, "a", {"doing": "turn 3", "speed": 1.5})
+    store.heartbeat("a:1:0", "cup", "train,match", 1, "a", {"doing": "turn 3", "speed": 1.5})
     first, second = store.workers("cup", within_seconds=60)
     assert (first.id, first.kinds, first.pid, first.host) == ("a:1:0", "train,match", 1, "a")
     assert first.status == {"doing": "turn 3", "speed": 1.5}
     assert first.started == before.started
     assert first.seen > before.seen
     assert store.workers("cup", within_seconds=-1) == []
-    store.leave("a:1:0")
+    store.remove_worker("a:1:0")
     assert store.workers("cup", within_seconds=60) == [second]
 
 
@@ -223,7 +231,7 @@ def test_what_no_row_can_hold_is_one_line(store: Store, payload: dict, told: str
         return
     for write in (
         lambda: store.queue([Job("cup", "match", "a", payload)]),
-        lambda: store.beat("a:1:0", "cup", "match", 1, "a", payload),
+        lambda: store.heartbeat("a:1:0", "cup", "match", 1, "a", payload),
     ):
         with pytest.raises(StorageError, match=told) as caught:
             write()
@@ -236,10 +244,10 @@ def test_what_no_row_can_hold_is_one_line(store: Store, payload: dict, told: str
 def test_silent_workers_are_forgotten(store: Store):
     store.create_league(League("other", ""))
     for worker, league in (("old", "cup"), ("new", "cup"), ("abroad", "other")):
-        store.beat(worker, league, "train", 1, "a", {})
+        store.heartbeat(worker, league, "train", 1, "a", {})
     with store._db.writing() as db:
-        db.execute(sa.update(tables.workers).where(tables.workers.c.id != "new").values(seen=store.now() - 1000))
-    assert store.trim_workers("cup", older_than_seconds=900) == 1
+        db.execute(sa.update(schema.workers).where(schema.workers.c.id != "new").values(seen=store.now() - 1000))
+    assert store.remove_silent_workers("cup", older_than_seconds=900) == 1
     assert [w.id for w in store.workers("cup", 10_000)] == ["new"]
     assert [w.id for w in store.workers("other", 10_000)] == ["abroad"]
 

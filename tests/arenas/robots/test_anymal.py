@@ -83,7 +83,7 @@ def test_only_cheap_shapes_touch(yard):
 
 def test_limbs_and_torso_touch_the_other_robot_and_legs_their_own_kind(yard):
     """Whole bodies collide, not feet alone: every shape of one robot meets every shape of another."""
-    from arenas.scene import build
+    from arenas.scene.scene import build
 
     model = build({"blue": [anymal()], "red": [anymal()]}, timestep=0.005).model
     data = mujoco.MjData(model)
@@ -155,7 +155,7 @@ def test_the_law_acts_before_every_substep_on_its_own_joints(yard):
     assert abs(float(last[11] - first[11])) > 3.0
 
 
-# Standing, feeling, falling ------------------------------------------------------------------------------------------
+# Standing, feeling, falling -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -177,12 +177,12 @@ def test_it_feels_harl_as_45_numbers(yard):
     qpos = qpos.at[yard.at.joint_qpos[5]].set(0.0)  # LH_HFE, 0.4 above its default
     qvel = jnp.zeros(18).at[:6].set(jnp.array([1.0, 0.0, 2.0, 3.0, 4.0, 5.0])).at[yard.at.joint_qvel[9]].set(6.0)
     action = jnp.arange(12.0)
-    feeling = yard.observe(yard.engine.make(qpos, qvel), (), {"solo/0": action})["solo/0"]
-    assert feeling.shape == (45,) == (yard.robot.feeling,)
-    np.testing.assert_allclose(feeling[:9], [1, 2, 0, 3, 4, 5, 0, -1, 0], atol=1e-6)
-    assert feeling[9 + 5] == pytest.approx(0.4, abs=1e-6)
-    np.testing.assert_allclose(feeling[21:33], 6.0 * (np.arange(12) == 9))
-    np.testing.assert_allclose(feeling[33:], action)
+    proprioception_size = yard.observe(yard.engine.make(qpos, qvel), (), {"solo/0": action})["solo/0"]
+    assert proprioception_size.shape == (45,) == (yard.robot.proprioception_size,)
+    np.testing.assert_allclose(proprioception_size[:9], [1, 2, 0, 3, 4, 5, 0, -1, 0], atol=1e-6)
+    assert proprioception_size[9 + 5] == pytest.approx(0.4, abs=1e-6)
+    np.testing.assert_allclose(proprioception_size[21:33], 6.0 * (np.arange(12) == 9))
+    np.testing.assert_allclose(proprioception_size[33:], action)
 
 
 def test_it_has_fallen_when_low_or_on_its_side():

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from arenas.options import EngineName, Timing
+from arenas.arena_settings import EngineName, Timing
 from arenas.robots.anymal import anymal
 from arenas.robots.crazyflie import crazyflie
 from arenas.robots.minitank import minitank

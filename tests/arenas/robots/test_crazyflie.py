@@ -76,8 +76,8 @@ def test_it_feels_velocity_rates_and_the_way_down_in_its_own_frame(yard):
     quat = jnp.array([jnp.sqrt(0.5), jnp.sqrt(0.5), 0.0, 0.0])
     qpos = state.physics.qpos.at[yard.at.qpos + 3 : yard.at.qpos + 7].set(quat)
     physics = yard.engine.make(qpos, jnp.array([1.0, 0.0, 2.0, 3.0, 4.0, 5.0]))
-    feeling = yard.observe(physics, (), {"solo/0": jnp.zeros(4)})["solo/0"]
-    np.testing.assert_allclose(feeling, [1, 2, 0, 3, 4, 5, 0, -1, 0], atol=1e-6)
+    proprioception_size = yard.observe(physics, (), {"solo/0": jnp.zeros(4)})["solo/0"]
+    np.testing.assert_allclose(proprioception_size, [1, 2, 0, 3, 4, 5, 0, -1, 0], atol=1e-6)
 
 
 def test_on_the_ground_it_rests_on_its_hull_and_counts_as_fallen():

@@ -76,11 +76,11 @@ def test_the_aim_is_the_shortest_turn_from_x(direction):
 
 def test_it_feels_the_targets_just_applied_and_its_barrel(yard):
     played = yard.play(steadily(0.3, 1.0), 0.4)
-    feeling = played.observations["solo/0"][-1]
-    assert feeling.shape == (6,) == (yard.robot.feeling,)
-    np.testing.assert_allclose(feeling[:2], [25 * 0.3 * 0.4, 5.0], atol=0.2)
+    proprioception_size = played.observations["solo/0"][-1]
+    assert proprioception_size.shape == (6,) == (yard.robot.proprioception_size,)
+    np.testing.assert_allclose(proprioception_size[:2], [25 * 0.3 * 0.4, 5.0], atol=0.2)
     expected = from_x(aim(yard.base(played)[-1], played.physics.qpos[-1][yard.at.joint_qpos]))
-    np.testing.assert_allclose(feeling[2:], expected, atol=1e-5)
+    np.testing.assert_allclose(proprioception_size[2:], expected, atol=1e-5)
 
 
 def test_a_tank_on_its_back_has_fallen(yard):

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.arena import Arena
-from arenas.options import Timing, Where
-from arenas.physics import Physics
+from arenas.arena_settings import EngineOptions, Timing
+from arenas.physics.engine import Physics
 from arenas.robots.robot import Robot, Script
 from arenas.state import State, Verdict
 
@@ -20,15 +20,15 @@ TIMING = Timing(timestep=0.005, substeps=4, hold=1, episode=30.0)
 class Yard(Arena):
     """One robot, put down in its rest pose `lifted` metres above the ground. It sees its own proprioception."""
 
-    def __init__(self, robot: Robot, lifted: float = 0.0, timing: Timing = TIMING, **where: Unpack[Where]):
-        super().__init__("yard", {"solo": (robot,)}, timing, {}, **(Where(engine="c") | where))
+    def __init__(self, robot: Robot, lifted: float = 0.0, timing: Timing = TIMING, **where: Unpack[EngineOptions]):
+        super().__init__("yard", {"solo": (robot,)}, timing, {}, **(EngineOptions(engine="c") | where))
         self.robot = robot
         self.at = self.scene.agents["solo/0"]
         self.lifted = lifted
         self._compiled: dict[tuple[Script, int], Callable[..., State]] = {}
 
     def observation_size(self, agent: str) -> int:
-        return self.robot.feeling
+        return self.robot.proprioception_size
 
     def place(self, key: Array) -> tuple[Array, Array, Any]:
         """The key turns the robot's joints by up to 0.05 rad each, as no two robots stand quite alike."""
@@ -38,7 +38,7 @@ class Yard(Arena):
         return qpos, jnp.zeros(self.scene.model.nv), ()
 
     def observe(self, physics: Physics, game: Any, actions: dict[str, Array]) -> dict[str, Array]:
-        return {"solo/0": self.robot.feels(self.body("solo/0", physics, actions))}
+        return {"solo/0": self.robot.observe_self(self.body("solo/0", physics, actions))}
 
     def judge(self, before: Physics, physics: Physics, game: Any) -> tuple[Any, Verdict]:
         never = jnp.zeros((), bool)

@@ -1,0 +1,82 @@
+"""Soccer's curricula: stages that fit each other, so that every policy goes on from the stage before."""
+
+from dataclasses import replace
+
+import pytest
+
+import arenas
+from league.config import experiment as configuration
+from league.config import presets
+from league.snapshots import warm_start
+from league.snapshots.warm_start import Source
+from storage.records import Player
+from storage.store import Store
+from tests.league.conftest import call
+
+PRESETS = {"soccer-1v1": presets.soccer_1v1, "soccer-2v2": presets.soccer_2v2}
+STAGES = ("walk", "ball", "score-easy", "score", "score-leatherback-easy", "score-leatherback", "match")
+
+
+def players(config):
+    """One player for each team of a stage's arena."""
+    teams = config.arena.outline().teams
+    rosters = {
+        t: "+".join(f"{s.kind}:{s.observation_size}:{s.action_size}" for s in seats) for t, seats in teams.items()
+    }
+    return [Player(config.league, team, i, "main", roster) for i, (team, roster) in enumerate(rosters.items())]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_stages_lead_from_the_first_step_to_the_matches(name):
+    config = PRESETS[name]()
+    assert configuration.loads(configuration.dumps(config)) == config
+    found = [configuration.stage(config, number) for number in range(len(STAGES))]
+    assert tuple(each.league for each in found) == tuple(f"{name}.{stage}" for stage in STAGES)
+    assert [each.arena.name for each in found] == [
+        "soccer-walk", "soccer-ball", *["soccer-score"] * 2, *["soccer-score-leatherback"] * 2, name
+    ]  # fmt: skip
+    assert [each.arena.rules.ease for each in found[2:-1]] == [1.0, 0.0, 1.0, 0.0]
+    assert [each.training.shaping_until for each in found] == [None, None, 0.9, 0.9, 0.9, 0.9, None]
+    units = [(each.arena.rules.drive_scale, each.arena.rules.steer_scale) for each in found[4:]]
+    assert units == [(40.0, 0.5)] * 3  # a policy means the same by its actions wherever it goes on
+    plain = arenas.settings(name)
+    assert found[-1].arena == replace(plain, rules=found[-1].arena.rules)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_policy_goes_on_from_the_newest_stage_of_its_kind(name):
+    walk, ball, easy, score, easily, rovers, match = (
+        players(configuration.stage(PRESETS[name](), number)) for number in range(len(STAGES))
+    )
+    assert warm_start.warm_starts(ball, [walk])["blue"].actors == (Source(f"{name}.walk", "blue", 0),)
+    assert warm_start.warm_starts(easy, [ball, walk])["blue"].actors == (Source(f"{name}.ball", "blue", 0),)
+    assert warm_start.warm_starts(score, [easy, ball, walk])["blue"].actors == (
+        Source(f"{name}.score-easy", "blue", 0),
+    )
+    assert warm_start.warm_starts(easily, [score, easy, ball, walk])["blue"].actors == (None,)
+    before = [rovers, easily, score, easy, ball, walk]
+    assert warm_start.warm_starts(rovers, before[1:])["blue"].actors == (
+        Source(f"{name}.score-leatherback-easy", "blue", 0),
+    )
+    found, size = warm_start.warm_starts(match, before), len(match[0].roster.split("+"))
+    assert found["blue"].actors == (Source(f"{name}.score", "blue", 0),) * size
+    assert found["red"].actors == (Source(f"{name}.score-leatherback", "blue", 0),) * size
+
+
+@pytest.mark.gpu  # minutes of two cores; test_curriculum_runs.py walks another curriculum
+@pytest.mark.timeout(1800)
+def test_soccer_is_walked_from_the_first_step_to_the_matches(tmp_path):
+    done = call(
+        "run", "--preset", "soccer-1v1", "--steps", "1000", "--training.worlds", "16",
+        "--training.rollout_length", "16",
+        "--rating.worlds", "8", "--rating.pairings", "1", "--rating.episodes_per_pair", "8",
+        "--rating.final-episodes-per-pair", "8",
+        "--workers.nice", "0", "--budget.rating_time", "10s", cwd=tmp_path, timeout=1700,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for number, name in enumerate(STAGES, 1):
+        assert f"Stage {number} of 7, {name}" in done.stdout
+    assert "blue: actors go on from soccer-1v1.score's blue/0" in done.stdout
+    with Store.open(tmp_path / "league-data") as store:
+        assert {p.roster for p in store.players("soccer-1v1.match")} == {"anymal:66:12", "leatherback:24:2"}
+        assert not store.jobs("soccer-1v1.match", "failed")

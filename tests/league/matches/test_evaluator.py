@@ -1,0 +1,154 @@
+"""Seats, seeds and counting of a rating batch; the games here are invented so that each world tells who it is."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from agents.rollout.rollout import PlayedEpisodes
+from arenas.physics.void_causes import Cause
+from league.config import presets
+from league.matches.evaluator import MatchEvaluator
+from league.snapshots.codec import add_scripts
+from league.state.jobs import RatingMatch
+from storage.errors import StorageError
+from storage.records import League, Match, PairCounts, Snapshot
+from storage.store import Store
+
+A, B, C = (Snapshot("tiny", name, f"digest of {name}", "leatherback:20:2") for name in "abc")
+TASK = RatingMatch((("a", "b"), ("a", "c")), 5)
+
+
+@pytest.fixture(scope="module")
+def evaluator():
+    config = presets.duel()
+    config = replace(config, rating=replace(config.rating, worlds=16, pairings=2, record=False))
+    return MatchEvaluator(config, config.arena.build(engine="c", threads=1), "tiny")
+
+
+def games(
+    scores: list[float], void: tuple[int, ...] = (), at_fault: dict[int, list[int]] | None = None
+) -> PlayedEpisodes:
+    """Games in which team 0 of each world scored as given; `at_fault` are the teams that broke a world."""
+    first = np.array(scores)
+    broke = np.zeros((len(first), 2), bool)
+    for world, teams in (at_fault or {}).items():
+        broke[world, teams] = True
+    return PlayedEpisodes(
+        score=np.stack([first, 1 - first], 1), void=np.isin(np.arange(len(first)), void), at_fault=broke,
+        decisions=np.full(len(first), 7), frames=(), actions={}, reward=np.zeros(0), running=np.zeros(0),
+    )  # fmt: skip
+
+
+def seats(evaluator: MatchEvaluator, *pairs):
+    return [seating for a, b in pairs for seating in evaluator.side_orders(a, b)]
+
+
+def test_the_first_episodes_of_each_side_order_are_recorded_by_turns(evaluator):
+    assert evaluator.each == 4  # two pairings of two groups
+    assert evaluator._first(1) == (0, 8)
+    assert evaluator._first(2) == (0, 4, 8, 12)
+    assert evaluator._first(3) == (0, 4, 1, 8, 12, 9)
+    assert sorted(evaluator._first(100)) == list(range(16))
+
+
+def test_sides_are_swapped_and_a_seed_pair_starts_and_rolls_alike(evaluator):
+    seating = seats(evaluator, (A, B), (C, A))
+    assert seating == [(A, B), (B, A), (C, A), (A, C)]
+    keys = np.asarray(jax.random.key_data(evaluator._keys(seating, seed=5))).reshape(4, 4, -1)
+    assert (keys[0] == keys[1]).all()
+    assert (keys[2] == keys[3]).all()
+    assert len(np.unique(keys[[0, 2]].reshape(8, -1), axis=0)) == 8
+
+
+def test_snapshots_of_unlike_rosters_keep_their_sides_and_are_no_seed_pairs(evaluator, monkeypatch):
+    teams = (evaluator.arena.teams[0], replace(evaluator.arena.teams[1], agents=evaluator.arena.teams[1].agents * 2))
+    monkeypatch.setattr(evaluator.arena, "teams", teams)
+    other = replace(B, roster=teams[1].roster)
+    assert evaluator.side_orders(other, A) == ((A, other), (A, other))
+    keys = np.asarray(jax.random.key_data(evaluator._keys([(A, other)] * 2, seed=5))).reshape(8, -1)
+    assert len(np.unique(keys, axis=0)) == 8
+    with pytest.raises(StorageError, match="cannot play sumo-1v1"):
+        evaluator.side_orders(A, C)
+
+
+def test_counts_are_for_a_whatever_side_it_played(evaluator):
+    #            A at home        A away           the other pair
+    played = games([1, 1, 0.5, 0, 1, 0, 0.5, 0] + [0] * 8)
+    match = evaluator.pair_match(played, 0, A, B, seats(evaluator, (A, B), (A, C)), TASK, None)
+    assert (match.wins, match.draws, match.losses, match.voids) == (4, 2, 2, 0)
+    assert (match.side_wins, match.side_draws, match.side_losses) == (2, 1, 1)
+    # pair by pair, A's two games: win and loss, win and win, draw and draw, loss and win
+    assert match.pairs == PairCounts(ll=0, ld=0, dd_wl=3, dw=0, ww=1)
+    assert match.steps == 8 * 7
+
+
+def test_a_void_game_counts_for_nobody_and_breaks_its_pair(evaluator):
+    played = games([1, 1, 1, 1, 0, 0, 0, 0] + [0] * 8, void=(0, 6))
+    match = evaluator.pair_match(played, 0, A, B, seats(evaluator, (A, B), (A, C)), TASK, None)
+    assert (match.wins, match.losses, match.voids) == (6, 0, 2)
+    assert match.pairs == PairCounts(ww=2)
+
+
+def test_a_void_game_is_put_down_to_the_side_whose_robots_alone_went_bad(evaluator):
+    # in worlds 0-3 A plays team 0, in 4-7 team 1
+    at_fault = {0: [0], 1: [1], 2: [0, 1], 4: [1], 5: [0]}
+    played = games([1.0] * 16, void=(0, 1, 2, 4, 5, 6), at_fault=at_fault)
+    match = evaluator.pair_match(played, 0, A, B, seats(evaluator, (A, B), (A, C)), TASK, None)
+    assert (match.voids, match.voids_a, match.voids_b) == (6, 2, 2)
+
+
+def test_why_games_were_void_goes_into_the_row_and_of_its_own_worlds_alone(evaluator):
+    causes = np.zeros(16, np.uint8)
+    causes[[1, 4]] = Cause.PAIRS, Cause.PAIRS | Cause.ROWS
+    causes[9] = Cause.NUMBERS
+    played = games([1.0] * 16, void=(1, 4, 9))._replace(causes=causes)
+    both = seats(evaluator, (A, B), (A, C))
+    rows = [evaluator.pair_match(played, i, A, B, both, TASK, None) for i in (0, 1)]
+    assert [row.causes for row in rows] == [Cause.PAIRS | Cause.ROWS, Cause.NUMBERS]
+
+
+@pytest.mark.slow
+def test_scripts_really_play_and_a_batch_with_one_pair_fills_all_its_places(evaluator, tmp_path):
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", evaluator.arena, ("idle", "centre-holder"))
+        task = RatingMatch((("centre-holder", "idle"),), 3)
+        matches = evaluator.play(store, task)
+        assert [m.wins + m.draws + m.losses + m.voids for m in matches] == [8, 8]
+        assert sum(m.wins for m in matches) >= 14  # the ring shrinks until idle rovers stand outside
+        assert evaluator.seconds > 0.0
+        assert sum(m.seconds for m in matches) == pytest.approx(evaluator.seconds)
+        assert [m.due for m in matches] == [None, None]
+        again = evaluator.play(store, replace(task, due=12.5))  # the same games at another time
+        assert [replace(m, seconds=0.0) for m in matches] == [replace(m, seconds=0.0, due=None) for m in again]
+        assert [m.due for m in again] == [12.5, 12.5]
+        assert all(isinstance(m, Match) and m.arena == evaluator.key for m in matches)
+
+
+def test_pairs_of_a_manager_whose_device_has_more_places_are_all_played(evaluator, tmp_path):
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", evaluator.arena, ("idle", "centre-holder", "pusher"))
+        pairs = (("centre-holder", "idle"), ("pusher", "idle"), ("centre-holder", "pusher"))
+        matches = evaluator.play(store, RatingMatch(pairs, 3, record=False))
+        assert [(m.a, m.b) for m in matches] == [*pairs, pairs[2]]
+        assert all(m.wins + m.draws + m.losses + m.voids == 8 for m in matches)
+
+
+def test_a_referee_keeps_no_more_policies_in_memory_than_it_may(tmp_path):
+    config = presets.duel()
+    config = replace(
+        config, rating=replace(config.rating, worlds=16, pairings=2, record=False),
+        storage=replace(config.storage, cached_policies=2),
+    )  # fmt: skip
+    arena = config.arena.build(engine="c", threads=1)
+    evaluator = MatchEvaluator(config, arena, "tiny")
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", arena, None)
+        for snapshot in store.snapshots("tiny"):
+            evaluator._load(store, snapshot)
+        assert len(store.snapshots("tiny")) > 2
+        assert len(evaluator._policies) == 2

@@ -1,0 +1,77 @@
+"""The manager alone: what it plans, without the worker processes that would do it."""
+
+import multiprocessing
+import signal
+import threading
+from dataclasses import replace
+from multiprocessing.synchronize import Event
+
+from league.config import presets
+from league.config.experiment import Budget
+from league.config.run_spec import RunSpec
+from league.runtime.bootstrap import create
+from league.runtime.manager import Manager, _Slot
+from league.state.jobs import RatingMatch
+from storage.errors import Unavailable
+from storage.store import Store
+from tests.league.leagues import filled, match
+
+
+def test_a_plan_for_which_the_store_was_away_is_made_again(duel, tmp_path, capsys):
+    config = presets.duel()
+    with Store.open(tmp_path / "store", create=True) as store:
+        create(store, config, duel)
+        manager = Manager(store, spec := RunSpec.of(str(tmp_path / "store"), config), spec.config())
+        manager._slots.clear()
+        queue, lost = store.queue, []
+
+        def lose_one(*args):
+            if not lost:
+                lost.append(args)
+                raise Unavailable("the store: another process kept it locked for 60 s")
+            return queue(*args)
+
+        store.queue = lose_one
+        told = []
+
+        def tell(state, *_):
+            told.append([job.kind for job in state.jobs])
+            if told[-1] or len(told) > 3:
+                store.ask_stop(config.league)
+
+        assert manager.run(tell) == "stopped"
+        assert lost
+        assert "train" in told[-1]
+        assert "waiting: the store: another process" in capsys.readouterr().err
+        assert store.leader(config.league) is None
+
+
+def finish_when_asked_to_end(where: str, ready: Event) -> None:
+    """A worker that is in the middle of a rating batch when it is asked to end, and finishes it."""
+    asked = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    ready.set()
+    with Store.open(where) as store:
+        claimed = None
+        while claimed is None:
+            claimed = store.claim("cup", [RatingMatch.kind], "elsewhere:1:match0", 60)
+            asked.wait(0.02)
+        asked.wait(60)
+        store.finish(claimed[0], matches=[match("blue@4", "red@4", 256, 256)])
+
+
+def test_what_is_told_at_the_end_has_the_batch_that_was_being_played_when_time_was_up(tmp_path):
+    """A run with "done · 0 rated episodes" above a table of 512: the line was told before workers had ended."""
+    where, told = tmp_path / "store", []
+    config = replace(presets.quickstart(), league="cup", budget=Budget(steps=1, rating_time="1s"))
+    with filled(where) as store:
+        manager = Manager(store, RunSpec.of(str(where), config), config)
+        context = multiprocessing.get_context("spawn")
+        ready = context.Event()
+        process = context.Process(target=finish_when_asked_to_end, args=(str(where), ready))
+        process.start()
+        assert ready.wait(60)
+        manager._slots[:] = [_Slot((RatingMatch.kind,), 0, process)]
+        assert manager.run(lambda state, stage, _: told.append((stage, state.ladder.payoff.home.sum()))) == "done"
+    assert told[-2:] == [("ending", 0), ("done", 256)]
+    assert {stage for stage, _ in told[:-2]} == {"rating"}

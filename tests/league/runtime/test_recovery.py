@@ -1,0 +1,108 @@
+"""Killed with SIGKILL at any moment, a league loses at most the work since its last checkpoint, and ends the same."""
+
+import os
+import signal
+
+import pytest
+
+from league.system import exit_codes
+from storage.records import RATED_PURPOSES
+from storage.store import Store
+from tests.league.conftest import BODILESS, PUCKS, call, hold, start, wait_for
+
+LIMITS = ("--deterministic", "--budget.steps", "40000", "--budget.rating_time", "5m", "--workers.lease", "60")
+TWO = ("run", *PUCKS, *LIMITS)
+HUNTED = (
+    "run", *BODILESS, *LIMITS,
+    "--players", '[{team = "blue"}, {team = "red"}, {team = "red", name = "hunter", role = "main_exploiter"}]',
+    "--roles", '[{name = "main_exploiter", timeout = 9000}]',
+)  # fmt: skip
+UNRATED = ("--workers.match", "0")
+
+
+def iteration(store):
+    return max((c.iteration for c in store.checkpoints("tiny")), default=-1)
+
+
+def of_kind(store, kind):
+    return next((w for w in store.workers("tiny", 5) if w.kinds == kind), None)
+
+
+def results(folder):
+    with Store.open(folder / "league-data") as store:
+        ends = {p.name: store.checkpoint("tiny", p.name) for p in store.players("tiny")}
+        return (
+            {name: (c.digest, c.iteration, c.step) for name, c in ends.items()},
+            {(s.name, s.digest) for s in store.snapshots("tiny")},
+            store.matches("tiny"),
+            store.jobs("tiny"),
+        )
+
+
+def held_amid_a_turn(folder, at_least):
+    """The train worker, stopped while it does a turn that begins at this iteration or later."""
+
+    def turn(store):
+        return iteration(store) >= at_least and store.jobs("tiny", "leased", "train")
+
+    while True:
+        wait_for(folder, turn)
+        learner = wait_for(folder, lambda store: of_kind(store, "train"))
+        hold(folder, learner.pid)
+        with Store.open(folder / "league-data") as store:
+            if turn(store):
+                return learner
+        os.kill(learner.pid, signal.SIGCONT)
+
+
+def kill_manager(run, folder, *held):
+    """Kill the manager, and wait until its workers, of which some may be held, have noticed and ended."""
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    for pid in held:
+        os.kill(pid, signal.SIGCONT)
+    wait_for(folder, lambda store: not [w for w in store.workers("tiny", 3) if w.kinds != "manager"])
+
+
+@pytest.mark.slow  # about a minute of two cores each
+@pytest.mark.parametrize("run", [TWO, HUNTED], ids=["physics", "exploiter"])
+def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, run):
+    """Amid turns and amid rating; also where a player begins anew every few turns, and groups take turns."""
+    undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
+    undisturbed.mkdir()
+    killed.mkdir()
+    assert call(*run, *UNRATED, "--budget.rating_time", "0s", cwd=undisturbed).returncode == 0
+
+    first = start(*run, *UNRATED, cwd=killed)
+    os.kill(held_amid_a_turn(killed, 4).pid, signal.SIGKILL)
+    learner = held_amid_a_turn(killed, 8)  # the manager has started another one and given it the turn, to be done again
+    kill_manager(first, killed, learner.pid)
+    second = start(*run, cwd=killed)  # in deterministic mode rating begins when training is over
+    wait_for(killed, lambda store: store.matches("tiny"))
+    kill_manager(second, killed)
+    before = results(killed)
+    assert call(*run, cwd=killed).returncode == 0
+
+    ends, frozen, matches, jobs = results(killed)
+    assert (ends, frozen) == results(undisturbed)[:2] == before[:2]
+    assert len(matches) > len(before[2])
+    assert matches[: len(before[2])] == before[2]  # nothing recorded was lost, changed or written twice
+    assert {job.state for job in jobs} == {"done"}
+    assert any(job.attempt > 1 and job.failures == 1 for job in jobs)  # the first kill did hit a lease
+    assert run is TWO or sum(name.startswith("hunter@") for name, _ in frozen) > 3
+    rated = [
+        match for match in matches if match.purpose in RATED_PURPOSES
+    ]  # an episode of training is written with its turn
+    assert sum(job.kind == "match" for job in jobs) * 2 == len(rated)  # two pairings a batch
+
+
+@pytest.mark.slow
+def test_a_second_run_of_a_running_league_is_refused_and_stop_reaches_the_first(tmp_path):
+    first = start(*HUNTED, *UNRATED, cwd=tmp_path)
+    wait_for(tmp_path, lambda store: of_kind(store, "manager") and of_kind(store, "train"))
+    second = call(*HUNTED, *UNRATED, cwd=tmp_path)
+    assert second.returncode == exit_codes.PASSING
+    assert "is running already" in second.stderr
+    assert call("stop", cwd=tmp_path).returncode == 0
+    assert first.wait(timeout=300) == 0
+    assert "Nothing is lost" in (tmp_path / "out.txt").read_text()

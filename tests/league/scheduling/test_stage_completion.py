@@ -1,0 +1,169 @@
+"""When players have learnt enough by their ratings, and which of their snapshots is handed on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agents.learner.happo import Learner
+from agents.settings import Architecture, HappoConfig
+from league.commands.run.background import _handed_on
+from league.config import experiment as configuration
+from league.config import presets
+from league.config.schema import ConfigError
+from league.config.sections import Budget
+from league.scheduling import curriculum, turn_scheduler
+from league.scheduling.stage_completion import best, handed_on, learnt_enough, rated, why
+from league.snapshots import warm_start
+from league.snapshots.codec import freeze
+from league.snapshots.warm_start import Source, WarmStart
+from league.state.league_state import LeagueState
+from storage.blobs import arrays
+from storage.records import Checkpoint, Match, PairCounts
+from tests.league.leagues import filled, finish, snapshot
+from tests.league.plans import KEY, PLAYERS, checkpoints, league_state, snapshots, training
+
+GAMES = 400
+AT = (0, 1, 2, 4, 8, 16, 32)
+
+
+def played(won: dict[int, float], player: str = "blue", games: int = GAMES) -> list[Match]:
+    """Snapshots of a player (by iteration) that have won this share of games against its initial one."""
+    return [
+        Match(
+            "quickstart",
+            KEY,
+            f"{player}@{i}",
+            f"{player}@0",
+            n,
+            0,
+            games - n,
+            0,
+            n // 2,
+            0,
+            (games - n) // 2,
+            PairCounts(),
+            1,
+        )
+        for i, share in won.items()
+        for n in [round(share * games)]
+    ]
+
+
+def after(*matches: list[Match], at=AT, **given) -> LeagueState:
+    log = [match for each in matches for match in each]
+    return league_state(log, checkpoints=checkpoints(at[-1]), snapshots=snapshots(*at), **given)
+
+
+def names(found) -> list[str]:
+    return [each.snapshot.name for each in found]
+
+
+def test_a_snapshot_is_rated_once_it_has_played_its_quota_against_those_that_tell():
+    state = after(played({1: 0.5, 2: 0.6}), played({4: 0.7}, games=100))
+    assert names(rated(state, "blue", quota=128)) == ["blue@1", "blue@2"]
+    assert names(rated(state, "blue", quota=100)) == ["blue@1", "blue@2", "blue@4"]
+    assert rated(state, "red", quota=1) == []
+    assert best([]) is None
+
+
+def test_the_best_is_the_surest_and_not_the_luckiest():
+    state = after(played({2: 0.7}), played({4: 0.8}, games=10))
+    found = best(rated(state, "blue", quota=10))
+    assert found is not None
+    assert found.snapshot.name == "blue@2"
+    assert found.describe(state) == "blue@2 scores 70 % (65-74 %) against its initial snapshot"
+
+
+BUDGET = Budget(score=0.8, plateau=3, steps=10**9)
+
+
+@pytest.mark.parametrize(
+    ("won", "told"),
+    [
+        ({1: 0.5, 2: 0.6, 4: 0.7}, None),  # it still learns
+        ({1: 0.5, 2: 0.82}, None),  # not surely
+        ({1: 0.5, 2: 0.9}, "blue@2 scores 90 % (87-93 %) against its initial snapshot"),
+        ({1: 0.5, 2: 0.9, 4: 0.7}, "blue@2 scores 90 %"),  # one that was surely good stays so
+        ({1: 0.5, 2: 0.5, 4: 0.5, 8: 0.5, 16: 0.5}, None),  # it has not begun to learn
+        ({1: 0.6, 2: 0.7, 4: 0.69, 8: 0.7}, None),
+        ({1: 0.6, 2: 0.7, 4: 0.69, 8: 0.6, 16: 0.68}, "blue@2 scores 70 % (65-74 %) against its initial snapshot, and"),
+        ({1: 0.6, 2: 0.7, 4: 0.69, 8: 0.6, 16: 0.72}, None),  # better again
+    ],
+)
+def test_a_player_has_learnt_when_it_surely_scores_or_gets_no_better(won, told):
+    (blue, _), state = PLAYERS, after(played(won))
+    found = why(BUDGET, 128, state, blue)
+    assert found is None if told is None else found is not None and found.startswith(told)
+    assert why(Budget(steps=10**9), 128, state, blue) is None
+
+
+def test_training_goes_on_until_each_player_has_learnt():
+    config = replace(training(), budget=BUDGET)
+    one, both = after(played({2: 0.9})), after(played({2: 0.9}), played({4: 0.7, 8: 0.6, 16: 0.6, 32: 0.6}, "red"))
+    assert not learnt_enough(config, one, PLAYERS)
+    assert turn_scheduler.next_turns(config, one).jobs
+    assert curriculum.ended(config, one) is None
+    assert learnt_enough(config, both, PLAYERS)
+    assert not turn_scheduler.next_turns(config, both).jobs
+    ended = curriculum.ended(config, both)
+    assert ended is not None
+    assert ended.startswith("blue@2 scores 90 % (87-93 %) against its initial snapshot, red@4 scores 70 %")
+    assert ended.endswith("and none of the 3 snapshots after it is better")
+
+
+def test_an_older_snapshot_is_handed_on_where_the_newest_are_surely_rated_and_no_better():
+    assert handed_on(after(played({2: 0.82, 8: 0.8, 16: 0.7, 32: 0.7})), "blue").snapshot.name == "blue@2"
+    assert handed_on(after(played({2: 0.82, 8: 0.8, 16: 0.7})), "blue").snapshot.name == "blue@2"
+    assert handed_on(after(played({2: 0.82, 8: 0.8})), "blue") is None  # ratings lag behind training
+    assert handed_on(after(played({2: 0.7, 16: 0.72, 32: 0.82})), "blue") is None  # the newest is the best
+    assert handed_on(after(), "blue") is None
+    gone = after(played({2: 0.82, 8: 0.8, 16: 0.7, 32: 0.7}))
+    thinned = [replace(s, thinned=1.0) if s.name == "blue@2" else s for s in gone.snapshots]
+    assert handed_on(replace(gone, snapshots=thinned), "blue").snapshot.name == "blue@8"
+
+
+def test_who_has_ended_a_stage_is_told_with_what_is_handed_on():
+    state = after(played({2: 0.82, 16: 0.7, 32: 0.7}))
+    told = " Handed on instead of the newest: blue@2 scores 82 % (78-85 %) against its initial snapshot."
+    assert _handed_on(training(), state) == told
+    assert _handed_on(training(), after()) == ""
+
+
+def test_the_best_snapshot_is_what_the_next_stage_starts_from(tmp_path):
+    config = HappoConfig(Architecture((4,)), normalise_observations=True)
+    good, bad, fresh = (Learner((3,), (2,), config, seed) for seed in (1, 2, 3))
+    frozen = freeze([{key: tensor.numpy() for key, tensor in policy.items()} for policy in good.policies()])
+    with filled(tmp_path / "store") as store:
+        history = [(2, frozen), (8, b"later"), (16, b"latest")]
+        blue = store.players("cup")[0]
+        store.add_snapshots([snapshot(blue, i, store.blobs.put(policy)) for i, policy in history])
+        newest = Checkpoint("cup", "blue", store.blobs.put(arrays.to_bytes(bad.state())), 500, 16, 5000.0)
+        sources = WarmStart((Source("cup", "blue", 0),), ("cup", "blue"))
+        finish(store, checkpoints=[newest], bases={"blue": store.checkpoint("cup", "blue").digest})
+        assert warm_start.start(store, fresh, sources) == "cup/blue@16"
+        assert warm_start.describe({"blue": sources}, store)[0].startswith("blue: actors go on from cup's blue/0;")
+        won = {"blue@2": 330, "blue@8": 300, "blue@16": 250}
+        finish(store, matches=[replace(m, league="cup") for name, n in won.items()
+                               for m in played({int(name[5:]): n / GAMES})])  # fmt: skip
+        assert warm_start.start(store, fresh, sources) == "cup/blue@2"
+        for name, array in good.policies()[0].items():
+            np.testing.assert_array_equal(fresh.policies()[0][name], array, err_msg=name)
+        np.testing.assert_array_equal(fresh.state()["critic.value.weight"], bad.state()["critic.value.weight"])
+        assert warm_start.describe({"blue": sources}, store) == [
+            "cup hands on blue@2, the best snapshot of blue: it scores 82 % (78-86 %) against its initial snapshot",
+            "blue: actors go on from cup's blue@2/0; critic and value normaliser from cup's blue",
+        ]
+
+
+def test_stages_of_pushing_end_when_they_have_been_learnt():
+    stages = {s.name: configuration.stage(presets.by_team(), i) for i, s in enumerate(presets.by_team().stages)}
+    for name in ("push-anymal", "push-leatherback"):
+        assert (stages[name].budget.score, stages[name].budget.plateau) == (0.8, 6)
+        assert "each scores 80% against initial" in curriculum.until(stages[name])
+        assert "the last 6 snapshots are no better" in curriculum.until(stages[name])
+
+
+def test_what_ends_by_ratings_needs_matches():
+    with pytest.raises(ConfigError, match=r"rating.share = 0.0: must be above 0 where budget.plateau is set"):
+        configuration.loads("[rating]\nshare = 0.0\n[budget]\nplateau = 3\n")

@@ -1,0 +1,161 @@
+"""Training turns: the plan is read off the store alone, so these tests hand it stores' contents as values."""
+
+from dataclasses import replace
+
+import pytest
+
+from league.config import experiment as configuration
+from league.scheduling import turn_scheduler
+from league.state.jobs import RatingMatch, decode
+from matchmaking.opponents import Opponents
+from matchmaking.schedule import Schedule
+from storage.records import Phase
+from tests.league.plans import MORE, PLAYERS, checkpoints, league_state, snapshots, training, turns
+
+
+def test_the_first_turn_only_makes_the_players():
+    (turn,) = turns(training(), league_state())
+    assert (turn.iterations, turn.learners, turn.bases) == (0, ("blue", "red"), {"blue": "", "red": ""})
+
+
+def test_turns_end_where_snapshots_are_due_and_never_last_longer_than_a_crash_may_cost():
+    ends, at = [], 0
+    while at < 80:
+        (turn,) = turns(training(iterations_per_turn=16), league_state(checkpoints=checkpoints(at)))
+        at += turn.iterations
+        ends.append(at)
+    assert ends == [1, 2, 4, 8, 16, 32, 48, 64, 80]
+
+
+@pytest.mark.parametrize("schedule", [Schedule("leapfrog", period=5), Schedule("leapfrog", period_steps=5 * 8192 - 1)])
+def test_leapfrog_passes_on_after_what_the_learner_learnt_itself_and_the_store_holds_the_phase(schedule):
+    config = training(iterations_per_turn=100, schedule=schedule)
+    at, phases, seen = {"blue": 0, "red": 0}, {}, []
+    while sum(at.values()) < 20:
+        planned = turn_scheduler.next_turns(config, league_state(checkpoints=checkpoints(at), phases=phases))
+        (phase,), (job,) = planned.phases, planned.jobs
+        phases = {"1": phase}
+        turn = decode(job)
+        assert turn.phase == phase.number
+        (learner,) = turn.learners
+        at[learner] += turn.iterations
+        seen += [learner] * turn.iterations
+    assert seen == ["blue"] * 5 + ["red"] * 5 + ["blue"] * 5 + ["red"] * 5
+
+
+@pytest.mark.parametrize("schedule", [Schedule("ladder", period=3), Schedule("ladder", period_steps=3 * 8192)])
+def test_in_ladder_turns_end_with_the_phase_and_the_copies_are_no_learning_of_their_own(schedule):
+    config = replace(training(iterations_per_turn=100, schedule=schedule), budget=configuration.Budget(steps=12 * 8192))
+    at, phases, ends = 0, {}, []
+    while at < 12:
+        copied = at - at % 3  # what the other player has taken over by then
+        state = league_state(checkpoints=checkpoints({"blue": at, "red": copied}), phases=phases)
+        planned = turn_scheduler.next_turns(config, state)
+        (phase,), (job,) = planned.phases, planned.jobs
+        phases, turn = {"1": phase}, decode(job)
+        assert (turn.learners, turn.phase) == (("blue",), at // 3)
+        at += turn.iterations
+        ends.append(at)
+    assert ends == [1, 2, 3, 4, 6, 8, 9, 12]
+    state = league_state(checkpoints=checkpoints({"blue": 12, "red": 12}), phases=phases)
+    assert state.spent("1", config.training.schedule) == (0.0, 12 * 8192)
+    assert not turns(config, state)
+
+
+def test_a_phase_by_steps_bounds_its_turns_where_the_number_of_worlds_is_set():
+    at = checkpoints({"blue": 40, "red": 8})
+    phase = Phase("quickstart", "1", 4, ("blue",), {"blue": 38, "red": 8}, {"step": 43 * 8192 - 100})
+    state = league_state(checkpoints=at, phases={"1": phase})
+    for worlds, iterations in ((256, 3), (128, 6), (None, 16)):  # none: each machine has its own, and its trainer looks
+        config = training(schedule=Schedule("leapfrog", period_steps=1))
+        (turn,) = turns(replace(config, training=replace(config.training, worlds=worlds)), state)
+        assert (turn.learners, turn.phase, turn.iterations) == (("blue",), 4, iterations)
+
+
+def test_one_open_turn_for_each_group_and_none_when_its_budget_is_spent():
+    config = training()
+    state = league_state(checkpoints=checkpoints(0))
+    (job,) = turn_scheduler.next_turns(config, state).jobs
+    assert not turns(config, replace(state, jobs=(replace(job, state="leased"),)))
+    assert not turns(config, league_state(checkpoints=checkpoints(9, seconds=300.0)))
+    assert turns(config, league_state(checkpoints=checkpoints(9, seconds=299.0)))
+
+
+def test_several_groups_have_turns_open_at_once_each_with_its_own_players_and_iterations():
+    at = checkpoints({"blue": 4, "red": 4, "blue-2": 1, "red-2": 1})
+    first, second = turns(training(), league_state(players=MORE, checkpoints=at))
+    assert (first.learners, second.learners) == (("blue", "red"), ("blue-2", "red-2"))
+    assert (first.iterations, second.iterations) == (4, 1)
+    assert set(first.bases) == {"blue", "red"}
+
+
+def test_a_turn_set_aside_stops_its_own_group_and_no_other():
+    config, at = training(), checkpoints(4, players=MORE)
+    state = league_state(players=MORE, checkpoints=at)
+    first, second = turn_scheduler.next_turns(config, state).jobs
+    state = replace(state, jobs=(replace(first, state="failed"),))
+    assert [turn.group for turn in turns(config, state)] == ["2"]
+    assert not turn_scheduler.trained_enough(config, state)
+    both = replace(state, jobs=tuple(replace(job, state="failed") for job in (first, second)))
+    assert turn_scheduler.trained_enough(config, both)
+
+
+def test_a_turn_that_was_gone_back_from_is_another_job_with_other_dice():
+    config, at = training(), checkpoints(4)
+    (before,) = turn_scheduler.next_turns(config, league_state(checkpoints=at)).jobs
+    back = (replace(PLAYERS[0], setbacks=1), PLAYERS[1])
+    (after,) = turn_scheduler.next_turns(config, league_state(players=back, checkpoints=at)).jobs
+    assert decode(before).retry == 0
+    assert decode(after).retry == 1
+    assert before.key != after.key
+
+
+def test_a_paused_player_sits_on_and_learns_no_more():
+    paused = (replace(PLAYERS[0], paused="it diverged twice"), PLAYERS[1])
+    (turn,) = turns(training(), league_state(players=paused, checkpoints=checkpoints(4)))
+    assert turn.learners == ("red",)
+    assert turn.present == ("blue", "red")
+    none = tuple(replace(p, paused="it diverged twice") for p in PLAYERS)
+    assert turn_scheduler.trained_enough(training(), league_state(players=none, checkpoints=checkpoints(4)))
+
+
+def test_a_budget_in_steps_is_met_within_one_iteration():
+    config = replace(training(iterations_per_turn=100), budget=configuration.Budget(steps=10 * 8192 + 1))
+    (turn,) = turns(config, league_state(checkpoints=checkpoints(8)))
+    assert turn.iterations == 3
+    assert not turns(config, league_state(checkpoints=checkpoints(11)))
+
+
+def test_past_opponents_are_drawn_for_each_learner_from_the_others_and_by_the_seed():
+    config = training(opponents=Opponents("uniform", past=0.5, groups=6))
+    state = league_state(checkpoints=checkpoints(4), snapshots=snapshots(0, 1, 2, 4))
+    (turn,) = turns(config, state)
+    assert set(turn.past) == {"blue", "red"}
+    assert len(turn.past["blue"]) == 3
+    assert all(own == "" and other.startswith("red@") for own, other in turn.past["blue"])
+    assert turns(config, state)[0].past == turn.past
+    others = [turns(replace(config, seed=s), state)[0].past for s in range(2, 8)]
+    assert any(other != turn.past for other in others)
+
+
+def test_past_opponents_come_from_every_player_of_the_other_team():
+    config = training(opponents=Opponents("uniform", past=0.9, groups=16))
+    state = league_state(
+        players=MORE, checkpoints=checkpoints(4, players=MORE), snapshots=snapshots(0, 1, 2, 4, players=MORE)
+    )
+    met = {name.partition("@")[0] for turn in turns(config, state) for _, name in turn.past.get(turn.learners[0], ())}
+    assert met == {"red", "red-2"}
+
+
+def test_phases_and_jobs_survive_the_stores_json():
+    phase = Phase("quickstart", "1", 0, ("blue",), {"blue": 0}, {"iterations": 5})
+    config = training(schedule=Schedule("leapfrog", period=5))
+    (turn,) = turns(config, league_state(checkpoints=checkpoints(0), phases={"1": phase}))
+    assert turn.learners == ("blue",)
+    task = RatingMatch((("a", "b"), ("c", None)), 7)
+    import json
+
+    from league.state.jobs import encode
+
+    job = encode("quickstart", task, "x")
+    assert decode(replace(job, payload=json.loads(json.dumps(job.payload)))) == task

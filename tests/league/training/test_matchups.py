@@ -1,0 +1,91 @@
+"""Who sits where in a training turn."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from league.config import presets
+from league.snapshots.codec import add_scripts
+from league.state.jobs import TrainingTurn
+from league.training.matchups import Matchups
+from storage.errors import StorageError
+from storage.records import League
+from storage.store import Store
+
+PRESENT = 4  # the number of a script that stands for the present players: told from any past one by it
+
+
+@pytest.fixture(scope="module")
+def arena():
+    return presets.duel().arena.build(engine="c", threads=1)
+
+
+@pytest.fixture
+def store(tmp_path, arena):
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", arena, ("idle", "random", "pusher"))
+        yield store
+
+
+def turn(learners=("blue", "red"), past=None, present=("blue", "red")):
+    return TrainingTurn("1", 0, learners, present, dict.fromkeys(present, ""), 1, past or {})
+
+
+def matchups(store, arena, turn, present=1, worlds=100):
+    return Matchups(turn, present, worlds, store, "tiny", arena)
+
+
+def scripts(made):
+    """Agent -> the script that sits in each group of worlds, counted from 0."""
+    now = {"blue": [PRESENT - 1], "red": [PRESENT - 1]}
+    return {agent: (stack_policies.script - 1).tolist() for agent, stack_policies in made.stacks(now, {}).items()}
+
+
+def test_without_past_opponents_all_worlds_are_one_group_and_teach_all(store, arena):
+    made = matchups(store, arena, turn())
+    assert (made.groups, made.worlds) == (1, 100)
+    assert made.worlds_of("blue") == made.worlds_of("red") == slice(None)
+    assert made.past_share("blue") == 0
+
+
+def test_each_learner_has_groups_of_its_own_and_learns_from_no_others(store, arena):
+    past = {"blue": (("", "idle"), ("", "random")), "red": (("pusher", ""), ("idle", ""))}
+    made = matchups(store, arena, turn(past=past), present=2)
+    assert (made.groups, made.worlds) == (6, 96)  # two present groups, two of blue's, two of red's
+    number = {name: i for i, name in enumerate(arena.scripts())}
+    now = PRESENT - 1
+    assert scripts(made) == {
+        "blue/0": [now] * 4 + [number["pusher"], number["idle"]],
+        "red/0": [now, now, number["idle"], number["random"], now, now],
+    }
+    np.testing.assert_array_equal(made.worlds_of("blue"), np.arange(0, 64))
+    np.testing.assert_array_equal(made.worlds_of("red"), np.r_[0:32, 64:96])
+    assert made.past_share("blue") == made.past_share("red") == 0.5
+
+
+def test_a_team_that_does_not_learn_plays_as_it_is(store, arena):
+    made = matchups(store, arena, turn(("red",), {"red": (("pusher", ""),)}))
+    assert made.groups == 2
+    assert jnp.unique(jnp.array(scripts(made)["red/0"])).tolist() == [PRESENT - 1]
+    assert made.worlds_of("red") == slice(None)
+
+
+def test_who_rests_while_all_worlds_are_drawn_for_another_learns_from_none(store, arena):
+    made = matchups(store, arena, turn(("blue",), {"blue": (("", "idle"), ("", ""))}), present=0)
+    assert (made.teaches("blue"), made.teaches("red")) == (True, False)
+    assert made.worlds_of("red").size == 0
+    assert made.past_share("blue") == 0.5  # in the other half red sits as it is now
+
+
+def test_worlds_whose_opponent_changed_are_told_and_no_others(store, arena):
+    before = matchups(store, arena, turn(past={"blue": (("", "idle"), ("", "random")), "red": ()}), worlds=12)
+    after = matchups(store, arena, turn(past={"blue": (("", "idle"), ("", "pusher")), "red": ()}), worlds=12)
+    assert after.changed(before.assigned).tolist() == [False] * 8 + [True] * 4
+
+
+def test_a_group_without_a_player_in_some_team_needs_past_ones_there(store, arena):
+    alone = turn(("blue",), {"blue": (("", "idle"),)}, ("blue", ""))
+    assert matchups(store, arena, alone, present=0).groups == 1
+    with pytest.raises(StorageError, match="nobody to play against"):
+        matchups(store, arena, turn(("blue",), {"blue": ()}, ("blue", "")))

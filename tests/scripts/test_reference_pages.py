@@ -1,0 +1,32 @@
+"""The pages of commands and settings say what the code says now."""
+
+import pytest
+
+from league.commands import cli
+from league.config import experiment, flags
+from scripts import reference_pages
+
+
+@pytest.mark.parametrize("file", reference_pages.PAGES)
+def test_a_page_is_what_the_code_says_now(file):
+    text = (reference_pages.ROOT / file).read_text("utf-8")
+    assert text == reference_pages.PAGES[file](), "the code has changed since: python -m scripts.reference_pages"
+
+
+def test_every_command_is_on_the_page():
+    text = reference_pages.commands()
+    assert [name for name in cli.COMMANDS if f"usage: league {name}" not in text] == []
+
+
+def test_every_setting_is_on_the_page():
+    text, config = reference_pages.configuration(), experiment.default()
+    keys = [".".join(key) for key in flags.every(type(config), config)]
+    assert len(keys) > 100
+    assert [key for key in keys if f"`{key}`" not in text and f"`[[{key}]]`" not in text] == []
+
+
+def test_a_page_does_not_depend_on_the_terminal_or_the_working_folder(tmp_path, monkeypatch):
+    before = reference_pages.commands()
+    monkeypatch.setenv("COLUMNS", "70")
+    monkeypatch.chdir(tmp_path)
+    assert reference_pages.commands() == before
