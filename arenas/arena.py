@@ -16,6 +16,7 @@ from arenas.arena_settings import EngineOptions
 from arenas.errors import ArenaError
 from arenas.game import Game
 from arenas.physics.engine import Physics, StepResult, cause_bit, is_finite, keep_apart_from_fusion, no_cause
+from arenas.physics.float_products import full_float32
 from arenas.physics.void_causes import Cause
 from arenas.scene.starts import draw_where
 from arenas.state import (
@@ -44,12 +45,14 @@ class Arena(Game):
             raise ArenaError(f"{cls.__name__}.{name}: the contract of arenas uses this name: choose another")
 
     @final
+    @full_float32
     def reset(self, key: Array) -> State:
         """Return a new world."""
         qpos, qvel, game, fields = self._draw(key)
         return self._begin(self.engine.make(qpos, qvel, fields), game)
 
     @final
+    @full_float32
     def restart(self, state: State, key: Array, where: Array) -> State:
         """Return the same world, reset where `where` () bool; elsewhere unchanged."""
         qpos, qvel, game, fields = draw_where(self._draw, key, where)
@@ -67,6 +70,7 @@ class Arena(Game):
         return self.step_with_frames(state, actions)[0]
 
     @final
+    @full_float32
     def step_with_frames(self, state: State, actions: dict[str, Array]) -> tuple[State, Frames]:
         """Take one decision, and return the frames for a recording too. Non-finite actions make an undecided world
         void.
@@ -112,18 +116,21 @@ class Arena(Game):
         return State(physics, game, observations, actions, verdict, void, at_fault, alive, causes), frames
 
     @final
+    @full_float32
     def privileged_state(self, state: State) -> Array:
         """Return `privileged` of a world, (privileged_size,), with non-finite and huge values removed for networks."""
         found = finite_observations({"state": self.privileged(state.physics, state.game, state.actions)})
         return keep_apart_from_fusion(found["state"])[0]
 
     @final
+    @full_float32
     def save(self, state: State) -> dict[str, Array]:
         """Return everything that decides how this world continues, as named arrays; batch with `jax.vmap`."""
         leaves = jax.tree_util.tree_leaves_with_path(self._with_saved_physics(state))
         return {_path(path): _data(leaf) for path, leaf in leaves}
 
     @final
+    @full_float32
     def load(self, saved: Mapping[str, Array]) -> State:
         """Restore the world of `save`, which continues bit for bit on the same engine."""
         example = jax.eval_shape(lambda key: self._with_saved_physics(self.reset(key)), jax.random.key(0))

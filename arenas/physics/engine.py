@@ -215,7 +215,8 @@ class Engine(ABC):
                 raise EngineError(f"model field {name} has shape {jnp.shape(value)}, not {shape} as the model's")
         own = {name: jnp.asarray(value, jnp.float32) for name, value in model.items()}
         if "body_mass" in own:
-            own["body_subtreemass"] = (_subtrees(self.model) * own["body_mass"]).sum(axis=1)
+            # A sum of products would become a product of matrices, which a GPU computes in TF32.
+            own["body_subtreemass"] = jnp.where(_subtrees(self.model), own["body_mass"], 0.0).sum(axis=1)
         return own
 
 
@@ -272,10 +273,10 @@ def is_finite(qpos: Array, qvel: Array) -> Array:
 
 
 def _subtrees(model: mujoco.MjModel) -> np.ndarray:
-    """Return (nbody, nbody), 1 where the second body is in the subtree of the first."""
-    below = np.eye(model.nbody, dtype=np.float32)
+    """Return (nbody, nbody) bool: the second body is in the subtree of the first."""
+    below = np.eye(model.nbody, dtype=bool)
     for body in range(model.nbody - 1, 0, -1):  # children have higher numbers than their parents
-        below[model.body_parentid[body]] += below[body]
+        below[model.body_parentid[body]] |= below[body]
     return below
 
 
