@@ -39,6 +39,9 @@ class MjxEngine(Engine):
         self._mjx = mjx.put_model(self._stepped, impl=impl)
         self._buffers: dict[str, int] = {}
         if impl == "warp":
+            from arenas.physics.warp_streams import keep_external_streams  # Warp is an optional dependency
+
+            keep_external_streams()
             # One contact pool serves all worlds. Overflow is read below and voids the episode, so it need not be
             # printed.
             self._mjx = self._mjx.tree_replace({"opt._impl.warn_overflow": 0})
