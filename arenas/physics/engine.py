@@ -214,8 +214,7 @@ class Engine(ABC):
             if jnp.shape(value) != shape:
                 raise EngineError(f"model field {name} has shape {jnp.shape(value)}, not {shape} as the model's")
         own = {name: jnp.asarray(value, jnp.float32) for name, value in model.items()}
-        if "body_mass" in own:
-            # A sum of products would become a product of matrices, which a GPU computes in TF32.
+        if "body_mass" in own and "body_subtreemass" not in own:  # a saved world's has its last digit from its batch
             own["body_subtreemass"] = jnp.where(_subtrees(self.model), own["body_mass"], 0.0).sum(axis=1)
         return own
 

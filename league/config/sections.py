@@ -184,8 +184,10 @@ class Budget:
 
     @property
     def window(self) -> int:
-        """Number of learning iterations over which rewards are averaged; 0 if `reward` is not set."""
-        return 0 if self.reward is None else 10
+        """Number of learning iterations over which rewards and successes of training are averaged; 0: none needed."""
+        if self.reward is not None:
+            return 10
+        return 0 if self.success is None else 16
 
     @property
     def ends(self) -> bool:

@@ -25,6 +25,7 @@ from matchmaking.match_selection import pairings
 from storage.records import Job, Phase
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
+PATIENCE = 120.0  # seconds of training
 Pair = tuple[str, str | None]
 
 
@@ -68,10 +69,10 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
 
     While players learn, each newest snapshot meets the newest snapshots of all other players, its reference opponents
     and its own past snapshots, for `episodes_per_pair` episodes each (matchmaking/match_design.py); the remaining
-    episodes go to the pool. No batch is queued before the previous one has been paid for
-    (league/scheduling/rating_budget.py), nor before any player has learnt. After the end of training the same pairs
-    play `final_episodes_per_pair` episodes each. Pairs of a batch that was set aside are played one by one, and a pair
-    that was set aside alone is not played again.
+    episodes go to the pool. Where a success rate ends training, trials begin when training itself reaches it. No batch
+    is queued before the previous one has been paid for (league/scheduling/rating_budget.py), nor before any player has
+    learnt. After the end of training the same pairs play `final_episodes_per_pair` episodes each. Pairs of a batch that
+    was set aside are played one by one, and a pair that was set aside alone is not played again.
 
     `progress` is the training progress of this planning pass, by default computed here.
     """
@@ -83,7 +84,7 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
         if config.deterministic and not config.budget.by_rating:
             return Plan()  # the training done when a batch is due depends on the clock
         due = next_slot(rating.share, progress.seconds, state.batches)
-        if due is None or all(s.initial for s in state.snapshots if s.player):
+        if due is None or all(s.initial for s in state.snapshots if s.player) or _too_early(config, state, progress):
             return Plan()
     alone, never = _set_aside(state)
     if alone:
@@ -93,6 +94,20 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
     pairs = [pair for pair in _wanted(config, state, progress.finished, room + len(never)) if pair not in never][:room]
     batches = [pairs[i : i + each] for i in range(0, len(pairs), each)]
     return Plan(tuple(rating_job(config, state, batch, due) for batch in batches))
+
+
+def _too_early(config: Config, state: LeagueState, progress: TrainingProgress) -> bool:
+    """Return whether training waits for a success rate that its own episodes have not reached.
+
+    A trial would then only delay the one that can end training, as batches are paid for one after the other. Success
+    in training ends episodes early, so its share of ended episodes is too high while it rises, rarely too low: after
+    PATIENCE seconds without a batch, trials are played anyway.
+    """
+    target = config.budget.success
+    if target is None or config.budget.plateau is not None or not state.one_team:
+        return False
+    last = state.batches.due if state.batches is not None else 0.0
+    return progress.seconds - last < PATIENCE and all(share < target for share in state.successes.values())
 
 
 def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[Pair]:

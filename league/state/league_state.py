@@ -29,7 +29,7 @@ from storage.store import Store
 class Batches(NamedTuple):
     """The rating batches that were queued last, at the same time, during training."""
 
-    due: float  # the second of training to which they are booked, see share.py
+    due: float  # the second of training to which they are booked (league/scheduling/rating_budget.py)
     seconds: float  # device time that they took
 
 
@@ -45,6 +45,8 @@ class Group(NamedTuple):
 
 
 NO_MATCHES = Ladder(())
+ENOUGH = 128
+"""Training episodes from which a share of successes is computed."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class LeagueState:
     meetings: Sequence[Meeting] = ()  # results of all training games, in the order of their turns
     batches: Batches | None = None  # None before the first batch
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if `recent` > 0
+    successes: Mapping[str, float] = field(default_factory=dict)  # player -> share of recent training episodes
     scores: Mapping[str, Score] = field(default_factory=dict)  # of learners whose turn ends by a score: see turn_scores
     revision: int = -1  # of the store at the time of reading
     voids: Sequence[Voids] = ()  # shares of void episodes that deserve a warning
@@ -79,8 +82,8 @@ class LeagueState:
         """Read the state of a league: `before` itself if nothing has changed, else only the new part of the match log.
 
         The ladder is that of `arena`, by default that of the newest rating match. `recent` is the number of learning
-        iterations over which `rewards` are averaged; with 0 there are no rewards. Raises UnknownName for an unknown
-        league.
+        iterations over which `rewards` and `successes` are averaged; with 0 there are none. Raises UnknownName for an
+        unknown league.
         """
         # The order matters: changes during the reading are read again next time. Until then a job can look unfinished
         # although its results were read, but no job looks finished before its results were read.
@@ -100,7 +103,7 @@ class LeagueState:
         return cls(
             players, snapshots, checkpoints, phases, jobs, *log[:4],
             [*before.meetings, *store.meetings(league, met)],
-            log.batches, _rewards(store, checkpoints, recent), turn_scores(store, phases), revision,
+            log.batches, *_averages(store, checkpoints, recent), turn_scores(store, phases), revision,
             voids_found(store, league, checkpoints),
         )  # fmt: skip
 
@@ -185,15 +188,26 @@ def episode_scores(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
     return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
 
 
-def _rewards(store: Store, checkpoints: Mapping[str, Checkpoint], recent: int) -> dict[str, float]:
-    """Return reward per episode over the last `recent` iterations, for players with that many and an ended episode."""
-    found = {}
+def _averages(
+    store: Store, checkpoints: Mapping[str, Checkpoint], recent: int
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return reward per episode and share of successes over the last `recent` iterations of training, by player.
+
+    Only players with that many iterations have one, rewards with an ended episode, successes with ENOUGH of them:
+    first episodes that end at once are successes.
+    """
+    rewards, successes = {}, {}
     for name, at in checkpoints.items() if recent else ():
         points = [p.values for p in store.curves(at.league, name, after=at.iteration - recent)]
-        lengths = [p["length"] for p in points if "length" in p]
-        if len(points) >= recent and lengths:
-            found[name] = sum(p["reward"] for p in points) / len(points) * sum(lengths) / len(lengths)
-    return found
+        ended = [p for p in points if "length" in p]
+        if len(points) < recent or not ended:
+            continue
+        length = sum(p["length"] for p in ended) / len(ended)
+        rewards[name] = sum(p["reward"] for p in points) / len(points) * length
+        episodes = sum(p["episodes"] for p in ended)
+        if episodes >= ENOUGH:
+            successes[name] = sum(p["score"] * p["episodes"] for p in ended) / episodes
+    return rewards, successes
 
 
 def _batches(last: Batches | None, new: Sequence[Match]) -> Batches | None:

@@ -318,6 +318,7 @@ def test_trials_that_may_end_a_stage_come_first_and_no_others_hold_them_up():
     alone = under_way(100.0, players=PLAYERS[:1], checkpoints=checkpoints(64, 100.0, PLAYERS[:1]), snapshots=frozen)
     config = sharing()
     deciding = replace(config, budget=configuration.Budget(success=0.9))
+    alone = replace(alone, successes={"blue": 0.95})
     tried = with_matches(alone, [match("blue@64", None, config.rating.episodes_per_pair)])
     for each in (config, deciding):
         assert pairs_of(match_scheduler.next_matches(each, alone)) == [(f"blue@{i}", None) for i in (64, 32, 16, 8)]
@@ -326,6 +327,25 @@ def test_trials_that_may_end_a_stage_come_first_and_no_others_hold_them_up():
     over = replace(tried, checkpoints=checkpoints(64, 300.0, PLAYERS[:1]))
     over_config = replace(deciding, budget=configuration.Budget(success=0.9, training_time="5m"))
     assert ("blue@32", None) in pairs_of(match_scheduler.next_matches(over_config, over))
+
+
+def test_trials_wait_until_training_succeeds_as_often_as_the_stage_asks():
+    frozen = snapshots(0, 1, 2, players=PLAYERS[:1])
+    config = replace(sharing(), budget=configuration.Budget(success=0.9))
+
+    def dues_at(seconds, batches=None, budget=config.budget, **successes):
+        state = under_way(seconds, batches, players=PLAYERS[:1], snapshots=frozen)
+        state = replace(state, checkpoints=checkpoints(2, seconds, PLAYERS[:1]), successes=successes)
+        return dues(replace(config, budget=budget), state)
+
+    assert dues_at(30.0) == dues_at(30.0, blue=0.89) == []
+    assert dues_at(30.0, blue=0.9) == [0.0]
+    assert dues_at(119.0, blue=0.5) == []
+    assert dues_at(120.0, blue=0.5) == [60.0]  # patience is over, and credit is a minute
+    assert dues_at(179.0, Batches(60.0, 5.0), blue=0.5) == []
+    assert dues_at(179.0, Batches(60.0, 5.0), blue=0.9) == [119.0]
+    assert dues_at(30.0, budget=configuration.Budget(success=0.9, plateau=6), blue=0.5) == [0.0]
+    assert dues_at(30.0, budget=configuration.Budget(reward=1.0), blue=0.5) == [0.0]
 
 
 def test_a_job_that_an_older_version_queued_is_still_understood():
