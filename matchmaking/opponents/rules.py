@@ -207,9 +207,9 @@ def checked_count(n: int) -> int:
 
 def _verification(x: np.ndarray, own: np.ndarray, exploiters: np.ndarray) -> tuple[np.ndarray | None, str]:
     """Return probabilities of the verification games and their reason; None if there is no such opponent."""
-    strong_components = np.flatnonzero(exploiters)
-    if strong_components.size and x[strong_components].min() < WEAK_BELOW:
-        return _scatter(len(x), strong_components, pfsp(x[strong_components])), "verification against exploiters"
+    exploiter_indices = np.flatnonzero(exploiters)
+    if exploiter_indices.size and x[exploiter_indices].min() < WEAK_BELOW:
+        return _scatter(len(x), exploiter_indices, pfsp(x[exploiter_indices])), "verification against exploiters"
     known = _less_monotonic_end(np.flatnonzero(own), x)
     forgotten = known[x[known] < FORGOTTEN_BELOW]
     if forgotten.size:

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 warp = pytest.importorskip("warp")
-
-from arenas.physics.warp_streams import keep_external_streams
+keep_external_streams = pytest.importorskip("arenas.physics.warp_streams").keep_external_streams
 
 
 @pytest.mark.gpu
