@@ -2,13 +2,15 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+USABLE := .venv/.usable
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: league setup check test test-slow test-gpu clean
 
-league: $(STAMP)  ## Set everything up and run a small league.
-	$(BIN)/league run --preset quickstart
+league: $(if $(wildcard $(STAMP)),$(STAMP),$(USABLE))  ## Set up what running needs, run a small league, film its last match.
+	$(BIN)/league run --preset quickstart --live
+	$(BIN)/league watch --video quickstart-$$(date +%H%M%S).webp --seconds 12
 
 setup: $(STAMP)  ## Create .venv with all that running, watching and testing need.
 
@@ -36,11 +38,11 @@ clean:  ## Remove what make and the tools wrote; leagues stay.
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP) $(USABLE): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || { \
 		echo "Robot League needs Python 3.11, 3.12 or 3.13, and $(PYTHON) is not one: name it, as in make PYTHON=python3.12 $(MAKECMDGOALS)"; \
 		exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
-	extras=view,video,foxglove,dash,envs,dev; if nvidia-smi -L >/dev/null 2>&1; then extras=$$extras,cuda; fi; \
+	extras=view,video,dash; if [ $@ = $(STAMP) ]; then extras=$$extras,foxglove,envs,dev; fi; if nvidia-smi -L >/dev/null 2>&1; then extras=$$extras,cuda; fi; \
 		$(BIN)/python -m pip install -c constraints.txt -e ".[$$extras]"
 	@touch $@

@@ -2,7 +2,7 @@
 
     python -m benchmarks.quickstart --seeds 1 2 3 --out benchmarks/results/quickstart-cpu.json
 
-Each seed runs `league run --preset quickstart` in a folder of its own. Afterwards every snapshot of both players plays
+Each seed runs `league run --preset quickstart` for five minutes in a folder of its own. Afterwards every snapshot of both players plays
 its player's initial snapshot, which gives a point of the learning curve each.
 """
 
@@ -32,6 +32,7 @@ from scripts.record import make_parser, run_info, write
 from storage.store import Store
 
 EPISODES = 256
+LENGTH = ("--budget.training_time", "5m", "--budget.rating_time", "2m")  # of the figures in docs/results.md
 
 
 def main() -> None:
@@ -53,7 +54,7 @@ def main() -> None:
 def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
     """Run one league and read its figures from its store."""
     began = time.time()
-    command = [sys.executable, "-m", "league", "run", "--preset", "quickstart"]
+    command = [sys.executable, "-m", "league", "run", "--preset", "quickstart", *LENGTH]
     subprocess.run([*command, "--seed", str(seed), "--store", str(where), *flags], check=True)
     wall = time.time() - began
     with Store.open(where) as store:

@@ -16,9 +16,9 @@ from matchmaking.schedule import Schedule
 
 
 def quickstart() -> Config:
-    """2v2 rovers that learn to push each other out of a shrinking ring: five minutes on two cores, then ratings."""
+    """2v2 rovers that learn to push each other out of a shrinking ring: three minutes on two cores, then ratings."""
     config = default()
-    return replace(config, league="quickstart", budget=Budget(training_time="5m", rating_time="3m"))
+    return replace(config, league="quickstart", budget=Budget(training_time="3m", rating_time="45s"))
 
 
 def duel() -> Config:

@@ -17,11 +17,12 @@ NEAR = 5  # most numbers of other matches in the message about an unknown match
 
 @dataclass(frozen=True)
 class RecordingQuery:
-    """Request for a match; without any values, the newest match."""
+    """Request for a match; without any values, the newest match of the players' newest snapshots on record."""
 
     match: int | None = None
     best: bool = False
     upset: bool = False
+    closest: bool = False
     between: tuple[str, ...] = ()
     player: str | None = None
 
@@ -31,11 +32,13 @@ def chosen(opened: Open, query: RecordingQuery) -> Match:
     if query.match is not None:
         return _numbered(opened, query.match)
     found = _among(opened, recorded(opened), query)
-    if not (query.upset or query.best):
-        return found[-1]
+    if not (query.upset or query.best or query.closest):
+        return found[-1] if query.between else _newest(opened, found)
     found = _of_snapshots(found)
     if not found:
         raise StorageError("Nothing but training was recorded here: `league play` records a match of snapshots.")
+    if query.closest:
+        return _closest(found)
     return _upset(opened, found) if query.upset else _best(opened, found)
 
 
@@ -118,6 +121,24 @@ def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Ma
 def _of_snapshots(matches: Sequence[Match]) -> list[Match]:
     """Return the matches between snapshots. In training matches, names of snapshots only stand for later policies."""
     return [m for m in matches if m.purpose != "training"]
+
+
+def _newest(opened: Open, matches: Sequence[Match]) -> Match:
+    """Return the newest match between two snapshots of players, the later the older one was frozen; else any newest.
+
+    The newest match of all is often one against a script or an old snapshot, which shows little of what was learnt.
+    """
+    frozen = {s.name: s.iteration for s in opened.store.snapshots(opened.league, brief=True) if s.player}
+    known = [m for m in matches if frozen.keys() >= set(_sides(m))]
+    return max(known, key=lambda m: (min(frozen[side] for side in _sides(m)), m.id)) if known else matches[-1]
+
+
+def _closest(matches: Sequence[Match]) -> Match:
+    """Return the match between two snapshots whose score was nearest to one half, the newest of equals."""
+    rivals = [m for m in matches if m.b is not None and m.wins + m.draws + m.losses]
+    if not rivals:
+        raise StorageError("No recorded match here has two sides, so none was close.")
+    return min(rivals, key=lambda m: (abs(m.wins - m.losses) / (m.wins + m.draws + m.losses), -m.id))
 
 
 def _best(opened: Open, matches: Sequence[Match]) -> Match:

@@ -46,6 +46,8 @@ class RunOptions:
     """The GPUs to use, by their numbers, e.g. 0,1 (none given: all that this process may use)."""
     detach: bool = False
     """Run in the background; `league status` and `league stop` reach it."""
+    live: bool = False
+    """Show every match that is recorded meanwhile, in a window, or in a browser where none can open."""
 
 
 @dataclass(frozen=True)

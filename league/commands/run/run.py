@@ -5,11 +5,12 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from league.commands.run.background import BackgroundRun, manage
+from league.commands.run.live import live_matches
 from league.commands.run.request import RunOptions, RunRequest, read
 from league.commands.run.summary import summary
 from league.config import experiment as configuration
@@ -43,6 +44,11 @@ def run(args: list[str]) -> int:
 
         print(without_passwords(help.page("run", WHAT, RunOptions, config)))
         return 0
+    if request.options.live and (request.options.detach or config.stages):
+        which = "--detach" if request.options.detach else "a curriculum, which is a league for each stage"
+        raise ConfigError(
+            (), f"--live shows a league that runs at this terminal, not {which}: use `league watch --live`"
+        )
     devices.use(request.options.devices)
     _refuse_if_running(where, config)
     with ExitStack() as until_the_end:
@@ -86,7 +92,8 @@ def _start(
 ) -> int:
     if request.options.detach:
         return _detach(BackgroundRun(spec, prepared))
-    return manage(spec, config, prepared, warm_worker=warm_worker)
+    with live_matches(spec, config.league) if request.options.live else nullcontext():
+        return manage(spec, config, prepared, warm_worker=warm_worker)
 
 
 def _finished_curriculum(store: Store, config: Config) -> str | None:

@@ -20,11 +20,13 @@ class WatchOptions(ViewOptions, Where):
     """The match, and the way in which it is shown or written."""
 
     match: int | None = positional(None)
-    """A match's number in `league matches` (default: the newest that was recorded)."""
+    """A match's number in `league matches` (default: of the latest snapshots whose match was recorded)."""
     best: bool = False
     """The match between the best-rated snapshots instead."""
     upset: bool = False
     """The match in which the winner was rated the most below the loser."""
+    closest: bool = False
+    """The match between two snapshots whose score was nearest to one half."""
     between: tuple[str, ...] = ()
     """A match of these two snapshots: --between blue@64 red@8."""
     player: str | None = None
@@ -38,7 +40,8 @@ class WatchOptions(ViewOptions, Where):
 
     def query(self) -> RecordingQuery:
         """Return the requested match. Raises ConfigError for two requests at once, or for --between with one name."""
-        asked = {"MATCH": self.match is not None, "--best": self.best, "--upset": self.upset}
+        asked = {"MATCH": self.match is not None, "--best": self.best, "--upset": self.upset,
+                 "--closest": self.closest}  # fmt: skip
         given = [name for name, there in asked.items() if there]
         named = [name for name, there in (("--between", self.between), ("--player", self.player)) if there]
         if len(given) > 1 or (self.match is not None and named):
@@ -47,7 +50,7 @@ class WatchOptions(ViewOptions, Where):
             raise ConfigError((), "--live shows every match as it comes, in a window or with --web: give it alone")
         if len(self.between) not in (0, 2):
             raise ConfigError((), f"--between takes two snapshots, as in --between a@8 b@8, not {len(self.between)}")
-        return RecordingQuery(self.match, self.best, self.upset, self.between, self.player)
+        return RecordingQuery(self.match, self.best, self.upset, self.closest, self.between, self.player)
 
 
 def watch(args: list[str]) -> int:

@@ -91,10 +91,10 @@ def test_an_episode_of_training_is_shown_as_what_it_is(learning, capsys, tmp_pat
 @pytest.mark.parametrize(
     ("wish", "number"),
     [
-        (RecordingQuery(), 5), (RecordingQuery(match=2), 2), (RecordingQuery(best=True), 1),
+        (RecordingQuery(), 1), (RecordingQuery(match=2), 2), (RecordingQuery(best=True), 1),
         (RecordingQuery(upset=True), 2), (RecordingQuery(between=("blue@0", "red@4")), 2),
-        (RecordingQuery(between=("red@4", "blue@4")), 1), (RecordingQuery(player="blue"), 5),
-        (RecordingQuery(best=True, between=("red@0", "red@4")), 3),
+        (RecordingQuery(between=("red@4", "blue@4")), 1), (RecordingQuery(player="blue"), 1),
+        (RecordingQuery(best=True, between=("red@0", "red@4")), 3), (RecordingQuery(closest=True), 5),
     ],
 )  # fmt: skip
 def test_the_match_that_is_meant(store, wish, number):
@@ -205,7 +205,7 @@ def test_without_a_display_the_commands_that_work_are_named(store, capsys, monke
         assert "--web" in told
     code, out, err = ran(capsys, "watch", "--store", str(store))
     assert code == 2
-    assert "Match 5" in out
+    assert "Match 1" in out
     assert "--web for a browser on this machine, --save match.rrd for a file or --shot match.png" in err
 
 
