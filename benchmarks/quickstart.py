@@ -2,8 +2,8 @@
 
     python -m benchmarks.quickstart --seeds 1 2 3 --out benchmarks/results/quickstart-cpu.json
 
-Each seed runs `league run --preset quickstart` for five minutes in a folder of its own. Afterwards every snapshot of both players plays
-its player's initial snapshot, which gives a point of the learning curve each.
+Each seed runs `league run --preset quickstart` for five minutes in a folder of its own. Afterwards every snapshot of
+both players plays its player's initial snapshot, which gives a point of the learning curve each.
 """
 
 import json

@@ -7,6 +7,7 @@ from dashboards.errors import ViewerError
 
 HOST = "127.0.0.1"
 NAME = "robot-league"  # in the header `Server`
+MAX_PORT = 65_535
 PORTS_TRIED = 100  # ports after a taken one that are tried
 
 
@@ -20,9 +21,19 @@ def listen(port: int) -> socket.socket:
     except PermissionError as error:
         raise ViewerError(f"this user may not listen on port {port}: give one above 1023, as in --port 8710") from error
     except OSError as error:
-        free = next((near for near in range(port + 1, min(port + PORTS_TRIED, 65_536)) if _is_free(near)), None)
+        free = next((near for near in range(port + 1, min(port + PORTS_TRIED, MAX_PORT + 1)) if _is_free(near)), None)
         advice = f"port {free} is free: --port {free}" if free else "give another with --port"
         raise ViewerError(f"port {port} is taken{_holder(port)}; {advice}") from error
+
+
+def next_port(port: int) -> int:
+    """Return the port after `port`, so that one that forwards ports to this machine knows both; any other if it is
+    taken.
+    """
+    if port < MAX_PORT and _is_free(port + 1):
+        return port + 1
+    with socket.create_server((HOST, 0)) as free:
+        return free.getsockname()[1]
 
 
 def _listen(port: int) -> socket.socket:

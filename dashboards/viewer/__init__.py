@@ -19,7 +19,7 @@ from dashboards.errors import ViewerError
 from dashboards.identity import MatchPlayer
 from dashboards.replay import Replay, replay
 from dashboards.system.outputs import PICTURES, RERUN, new_output, write_durably
-from dashboards.system.ports import listen
+from dashboards.system.ports import listen, next_port
 from dashboards.viewer.headless import (
     LOCAL,
     free_port,
@@ -109,12 +109,14 @@ def _save_as(png: bytes, path: Path) -> None:
 def hub(port: int) -> Iterator["Hub"]:
     """Run rerun's viewer as a page on 127.0.0.1 and yield a Hub that sends it matches; late viewers see all of them.
 
+    The page reads the matches from the next port, which a person who forwards ports must forward too.
+
     Raises ViewerError where the port is taken or rerun is not installed.
     """
     _rerun()
     listen(port).close()
     with viewer_log() as log:
-        feed = free_port()
+        feed = next_port(port)
         process = start_rerun(log, "--serve-web", "--web-viewer-port", str(port), "--port", str(feed))
         try:
             wait_until_it_listens(process, log, port)
@@ -125,15 +127,14 @@ def hub(port: int) -> Iterator["Hub"]:
 
 
 @contextmanager
-def web_viewer() -> Iterator[tuple[str, Callable[[], bool]]]:
-    """Run rerun's viewer as a page on 127.0.0.1 that draws the file in its address; yield its origin and a check that
-    it runs.
+def web_viewer(port: int) -> Iterator[tuple[str, Callable[[], bool]]]:
+    """Run rerun's viewer as a page on 127.0.0.1, at this port, that draws the file in its address; yield its origin and
+    a check that it runs.
 
     Raises ViewerError where rerun is not installed or does not start.
     """
     _rerun()
     with viewer_log() as log:
-        port = free_port()
         process = start_rerun(log, "--serve-web", "--web-viewer-port", str(port), "--port", str(free_port()))
         try:
             wait_until_it_listens(process, log, port)
@@ -152,7 +153,7 @@ def catalog(files: Path, port: int | None) -> Iterator[str]:
     if port is not None:
         listen(port).close()
     with viewer_log() as log, viewer_log() as page_log:
-        feed = free_port()
+        feed = free_port() if port is None else next_port(port)
         processes = [start_rerun(log, "server", "-d", f"league={files}", "--port", str(feed))]
         try:
             wait_until_it_listens(processes[0], log, feed)

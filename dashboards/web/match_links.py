@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 from dashboards.errors import ViewerError
 from dashboards.identity import MatchPlayer
+from dashboards.system.ports import next_port
 from dashboards.system.temporary_folders import temporary_folder
 from storage.errors import StorageError
 from storage.recordings.recording import Recording
@@ -32,9 +33,11 @@ class MatchLinks:
     """Answers at `/match/7`, which redirects to the viewer, and at `/match/7.rrd`, which the viewer draws.
 
     `found` returns the recording of a match by its number. It raises StorageError where there is nothing to show.
+    `port` is that of the page; the viewer has the next one.
     """
 
-    def __init__(self, found: Callable[[int], RecordedMatch]):
+    def __init__(self, found: Callable[[int], RecordedMatch], port: int):
+        self._port = port
         self._found, self._lock, self._open = found, threading.Lock(), ExitStack()
         self._viewer: tuple[str, Callable[[], bool]] | None = None  # its address, and a check that it still runs
 
@@ -71,7 +74,7 @@ class MatchLinks:
         with self._lock:
             if self._viewer is None or not self._viewer[1]():
                 self._open.close()
-                self._viewer = self._open.enter_context(web_viewer())
+                self._viewer = self._open.enter_context(web_viewer(next_port(self._port)))
             return self._viewer[0]
 
     def routes(self, headers: dict[str, str]) -> "list[Route]":

@@ -48,7 +48,7 @@ def serve(
         raise missing_library("uvicorn", error) from error
     script("plotly.js")  # otherwise its absence would only show at a browser's request
     server: uvicorn.Server | None = None
-    matches = MatchLinks(found)
+    matches = MatchLinks(found, listener.getsockname()[1])
     app = application(version, read, matches, lambda: server is not None and server.should_exit)
     config = uvicorn.Config(
         app, log_level="warning", access_log=False, lifespan="off", server_header=False, headers=[("Server", NAME)],

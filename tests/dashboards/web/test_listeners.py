@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dashboards import viewer
-from dashboards.system.ports import listen
+from dashboards.system.ports import listen, next_port
 from dashboards.viewer.headless import (
     WINDOWS,
     executable,
@@ -49,8 +49,15 @@ def test_a_match_in_a_browser():
         assert_loopback(port, int(hub.feed.split(":")[-1].split("/")[0]))
 
 
+def test_the_port_after_a_pages_is_its_viewers_unless_it_is_taken():
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = other.getsockname()[1]
+        assert next_port(taken - 1) != taken
+    assert next_port(taken - 1) == taken
+
+
 def test_the_viewer_of_a_page():
-    with viewer.web_viewer() as (origin, _):
+    with viewer.web_viewer(free_port()) as (origin, _):
         assert_loopback(int(origin.rpartition(":")[2]))
 
 
