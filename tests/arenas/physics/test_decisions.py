@@ -14,6 +14,7 @@ ROVERS = ("blue/0", "red/0")
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_a_held_decision_is_as_many_control_steps(duel):
     assert duel.arena.timing.hold == 5
     assert duel.arena.timing.decisions == 100
