@@ -4,7 +4,7 @@ The scene: a ball that rolls under a motor-driven arm, with sensors. Its motion 
 (accelerations up to 1,800 rad/s²) and compiles in seconds.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -323,7 +323,7 @@ def test_fields_that_cannot_vary_are_told():
         c.make(qpos, qvel, {"body_mass": jnp.ones(2)})
 
 
-@lru_cache(maxsize=None)
+@cache
 def pushed(name):
     """An engine, its worlds with model fields of their own at the start, and one control step of them, compiled."""
     one = engine(name, DERIVED)

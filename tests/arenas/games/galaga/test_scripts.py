@@ -58,9 +58,7 @@ def test_scripts_beat_who_is_idle(size, sides, wins):
     assert (score == wins).mean() >= 0.9
 
 
-@pytest.mark.parametrize(
-    "worlds", [pytest.param(64, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.gpu)]
-)
+@pytest.mark.parametrize("worlds", [pytest.param(64, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.gpu)])
 @pytest.mark.parametrize("size", ["1v1", "2v2"])
 def test_random_play_stays_sound(size, worlds):
     settings = arenas.settings(f"galaga-{size}")
