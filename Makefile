@@ -28,8 +28,9 @@ QUICKLY = $(if $(shell nvidia-smi -L 2>/dev/null),,$(UNOPTIMISED))
 test: check  ## What must pass before a change is shared.
 	$(QUICKLY) $(BIN)/pytest -rs -m "not slow and not gpu" -n 2 --dist loadfile --no-loadscope-reorder
 
-test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile.
-	$(BIN)/pytest -rs -m "(slow or optimised) and not gpu" -n 2 --dist worksteal
+test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile; then what is compared bit for bit.
+	$(QUICKLY) $(BIN)/pytest -rs -m "slow and not optimised and not gpu" -n 2 --dist worksteal
+	$(BIN)/pytest -rs -m "optimised and not gpu" -n 2 --dist worksteal
 
 test-gpu: $(STAMP)  ## On a machine with an NVIDIA GPU: all arenas and variants on the engines and kernels of GPUs.
 	$(BIN)/pytest -rs -v -m gpu

@@ -6,7 +6,7 @@ Algorithm 1. Pure functions.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -37,7 +37,7 @@ class Pbt:
     """A player copies another if its score against it is below this with 95 % confidence. By win rates the score is one
     half plus the difference of the two win rates."""
 
-    hyperparameters: tuple[str, ...] = ()
+    hyperparameters: tuple[str, ...] = field(default=(), metadata={"values_formerly": FORMER})
     """Hyperparameters of the learner to tune: lr, critic_lr, entropy_coef, clip, gamma, gae_lambda."""
 
     inherit: float = 0.5

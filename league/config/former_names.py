@@ -1,17 +1,19 @@
 """Former names of settings, which files, flags and stored configurations may still use.
 
 A field says in its metadata how it was called before: `metadata={"formerly": "rollout"}`. Where a person writes that
-name it is accepted for one release, with a line on stderr; what is stored may have it for ever.
+name it is accepted for one release, with a line on stderr; what is stored may have it for ever. A list whose values are
+names of settings has them in its metadata, by their present names: `metadata={"values_formerly": {"gamma": "g"}}`.
 """
 
 from collections.abc import Mapping
 from dataclasses import Field
 from typing import Any
 
-from league.config.schema import ConfigError, Key, dotted, hints, inner_table, settings, table_of
+from league.config.schema import ConfigError, Key, dotted, hints, inner_table, literal, settings, table_of
 
 Former = dict[Key, Key]
-"""The keys that were given by a former name: present key -> key as it was given."""
+"""The keys that were given by a former name: present key -> key as it was given. The key of a value in a list ends with
+the value in quotes."""
 
 
 def field_named(cls: Any, name: str) -> Field | None:
@@ -40,7 +42,22 @@ def _table(table: Mapping[str, Any], cls: type, base: Any, keys: tuple[Key, Key]
             if key[-1] in table:
                 raise ConfigError(given, f"{dotted(given)} is now {dotted(key)}: give only {dotted(key)}")
             former[key] = given
-        found[key[-1]] = value if kind is None else _value(value, kind, default, (key, given), former)
+        if field is not None and "values_formerly" in field.metadata:
+            found[key[-1]] = _values(value, field.metadata["values_formerly"], (key, given), former)
+        else:
+            found[key[-1]] = value if kind is None else _value(value, kind, default, (key, given), former)
+    return found
+
+
+def _values(values: Any, names: Mapping[str, str], keys: tuple[Key, Key], former: Former) -> Any:
+    """Return a list of names with the present ones, and add to `former`; anything else stays as it is."""
+    if not isinstance(values, list):
+        return values
+    present = {was: now for now, was in names.items()}
+    found = [present.get(each, each) if isinstance(each, str) else each for each in values]
+    for now, was in zip(found, values, strict=True):
+        if now != was:
+            former[(*keys[0], literal(now))] = (*keys[1], literal(was))
     return found
 
 
@@ -69,5 +86,11 @@ def value_at(table: Any, key: Key, cls: Any) -> Any:
 
 def deprecation(former: Former) -> str:
     """Return one line for a person about the former names that were given."""
-    renamed = ", ".join(f"{dotted(given)} is now {dotted(key)}" for key, given in former.items())
+    renamed = ", ".join(_renamed(key, given) for key, given in former.items())
     return f"deprecated, accepted until the next release: {renamed}"
+
+
+def _renamed(key: Key, given: Key) -> str:
+    if given[-1].startswith('"'):  # a value in a list
+        return f"{given[-1]} in {dotted(given[:-1])} is now {key[-1]}"
+    return f"{dotted(given)} is now {dotted(key)}"

@@ -8,10 +8,11 @@ field's metadata has the conditions on its value:
 
 `low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
 function that raises ValueError for values that it refuses; `most` bounds the number of values in a list; `formerly` is
-the name that the setting had before (`league/config/former_names.py`). Conditions on several fields are checked in
-`__post_init__`, which raises ValueError("field: message") or ValueError("table.field: message"), or any other message
-about the whole table; bounds are checked before it. Numbers are finite. Without an upper bound of their own, floats are
-at most LARGEST and integers fit into 64 bits. Texts and lists are no longer than LONGEST and MOST.
+the name that the setting had before, and `values_formerly` those of names in a list (`league/config/former_names.py`).
+Conditions on several fields are checked in `__post_init__`, which raises ValueError("field: message") or
+ValueError("table.field: message"), or any other message about the whole table; bounds are checked before it. Numbers
+are finite. Without an upper bound of their own, floats are at most LARGEST and integers fit into 64 bits. Texts and
+lists are no longer than LONGEST and MOST.
 """
 
 import ast

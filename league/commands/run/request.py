@@ -11,7 +11,7 @@ from league.config import flags, presets, toml
 from league.config.durations import seconds
 from league.config.experiment import Config
 from league.config.flags import SplitArguments
-from league.config.former_names import Former, deprecation
+from league.config.former_names import Former, deprecation, present_names
 from league.config.schema import ConfigError, Key, settings
 from league.queries.query import only_league
 from league.state.curriculum_stage import course
@@ -103,6 +103,7 @@ def read(args: Sequence[str]) -> RunRequest:
     given, old_flags = flags.present(given, Config, base)
     over = _budgeted(chosen, given)
     config = configuration.change(base, over) if text is None else configuration.loads(text, source, over)
+    old_flags |= present_names(flags.values(over, Config, base), Config, base)[1]
     continued = text is not None and chosen.file is None
     former = {} if text is None else configuration.former_names(text, source)
     if deprecated := old_flags | ({} if continued else former):  # nobody typed what a store holds

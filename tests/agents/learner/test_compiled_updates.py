@@ -1,6 +1,7 @@
 """Losses and steps that torch.compile has made few kernels of teach what plain ones do, in every variant."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -114,10 +115,11 @@ def test_no_list_of_a_step_holds_two_tensors_of_one_parameter(monkeypatch):
     assert written == [[0, 1]] * 4
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("device", HERE)
-def test_a_compiled_step_is_a_step(device: str):
-    """Of gradients that are scaled down and that are not, that are not taught and that are broken."""
+Take = Callable[[Adam, list[Tensor], float, Tensor], Tensor]
+
+
+def assert_steps_alike(ours: Take, theirs: Take, device: str) -> None:
+    """Compare steps of gradients that are scaled down and that are not, that are not taught and that are broken."""
     layers = [nn.Linear(5, 3).to(device) for _ in range(2)]
     layers[0].load_state_dict(layers[1].state_dict())
     optimizers = [Adam(layer, torch.tensor(0.01, device=device)) for layer in layers]
@@ -127,7 +129,7 @@ def test_a_compiled_step_is_a_step(device: str):
         gradient = [size * torch.randn(p.shape, generator=rng).to(device) for p in kept]
         norms = [
             take(optimizer, [g.clone() for g in gradient], 0.5, torch.tensor(any_valid, device=device))
-            for take, optimizer in zip((maybe_compiled(step, True), step), optimizers, strict=True)
+            for take, optimizer in zip((ours, theirs), optimizers, strict=True)
         ]
         torch.testing.assert_close(*norms, equal_nan=True)
         one, other = (
@@ -139,6 +141,23 @@ def test_a_compiled_step_is_a_step(device: str):
         assert stayed == (any_valid == 0.0)
     assert one["adam.bias.step"] == 4
     assert one["weight"].isnan().all()
+
+
+def test_a_step_that_is_written_out_is_a_step():
+    """As compiled code has it, without the compiler."""
+
+    def written_out(optimizer: Adam, gradient: list[Tensor], max_grad_norm: float, any_valid: Tensor) -> Tensor:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(torch.compiler, "is_compiling", lambda: True)
+            return step(optimizer, gradient, max_grad_norm, any_valid)
+
+    assert_steps_alike(written_out, step, "cpu")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", HERE)
+def test_a_compiled_step_is_a_step(device: str):
+    assert_steps_alike(maybe_compiled(step, True), step, device)
 
 
 @pytest.mark.slow

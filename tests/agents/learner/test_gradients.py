@@ -224,6 +224,16 @@ def test_a_policy_stays_where_no_try_is_good_enough(experience):
     assert {*stayed} == {True, False}
 
 
+def test_a_step_out_of_the_region_is_shortened_however_much_it_gains(experience):
+    """With the longest step the divergence would be 0.72 and 0.76."""
+    region = TrustRegion(accept_ratio=0.1, kl_threshold=0.5)
+    for seed in (1, 4):
+        learner = Learner([4], [2], replace(CONFIG, method="hatrpo", trust_region=region), seed)
+        figures = learner.update(experience(learner, seed=seed))
+        assert figures["step_length"] == pytest.approx(0.8)
+        assert 0.3 < figures["kl"] <= 0.5
+
+
 def test_the_second_agent_climbs_on_what_the_first_has_made_of_the_advantage(experience):
     batch = experience(hatrpo(), seed=2, T=16, N=16)
     both, alone = hatrpo(), hatrpo()

@@ -103,8 +103,16 @@ def test_nobody_collides_what_no_engine_can(name):
     assert data.ncon == 0
 
 
-# One small scene of bodies in pairs; MJX and Warp take minutes to compile so many kinds of contact.
-@pytest.mark.parametrize("name", ["c", *(pytest.param(name, marks=pytest.mark.slow) for name in ("jax", "warp"))])
+# One small scene of bodies in pairs; MJX and Warp take a minute to compile so many kinds of contact. On MJX the capsule
+# falls into the hill where XLA optimises little.
+@pytest.mark.parametrize(
+    "name",
+    [
+        "c",
+        pytest.param("jax", marks=[pytest.mark.slow, pytest.mark.optimised]),
+        pytest.param("warp", marks=pytest.mark.slow),
+    ],
+)
 def test_what_an_engine_takes_it_pushes_apart(name):
     pairs = [pair for pair in PAIRS if pair not in refused(name)]
     model = scene(pairs, alone=True)

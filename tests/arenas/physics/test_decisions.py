@@ -9,11 +9,13 @@ import pytest
 
 import arenas
 from arenas.robots.leatherback import WHEEL_RADIUS
+from tests.arenas.race import Race, RaceRules, RaceSettings
 
 ROVERS = ("blue/0", "red/0")
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_a_held_decision_is_as_many_control_steps(duel):
     assert duel.arena.timing.hold == 5
     assert duel.arena.timing.decisions == 100
@@ -105,6 +107,30 @@ def test_what_was_decided_before_the_blow_up_stands(duel, stand):
     assert not late.void.any()
     assert late.verdict.score.tolist() == [[0.0, 1.0]]
     assert late.verdict.reward.tolist() == [[0.0, 0.0]]
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["terminated", "truncated"])
+def test_an_end_within_a_decision_is_final(cut):
+    """A puck flies through the flag in its first control step, and is past it in the fourth."""
+
+    class Passing(Race):
+        def judge(self, before, physics, game):
+            game, news = super().judge(before, physics, game)
+            return game, news._replace(truncated=news.terminated, terminated=jnp.zeros((), bool)) if cut else news
+
+    arena = Passing(RaceSettings(), engine="c")
+    state = jax.vmap(arena.reset)(jax.random.key(0)[None])
+    qpos = state.physics.qpos.at[0, :2].set(state.game[0] - jnp.array([0.45, 0.0]))
+    physics = jax.vmap(arena.engine.place)(
+        state.physics, qpos, jnp.zeros((1, 12)).at[0, 0].set(10.0), jnp.ones(1, bool), state.physics.model
+    )
+    idle = {name: jnp.zeros((1, 2)) for name in ROVERS}
+    after, frames = jax.jit(jax.vmap(arena.step_with_frames))(state._replace(physics=physics), idle)
+    assert (after.verdict.terminated.item(), after.verdict.truncated.item()) == (not cut, cut)
+    assert jnp.abs(after.physics.qpos[0, 0] - after.game[0, 0]) > RaceRules().reach
+    assert after.verdict.score.tolist() == [[1.0, 0.0]]
+    assert after.verdict.rewards["lead"].tolist() == [[1.0, -1.0]]
+    assert frames.events["arrival"][0, :, 0].tolist() == [True, False, False, False, False]
 
 
 def drive(arena, head_on, decisions):

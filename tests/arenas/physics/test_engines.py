@@ -4,6 +4,8 @@ The scene: a ball that rolls under a motor-driven arm, with sensors. Its motion 
 (accelerations up to 1,800 rad/s²) and compiles in seconds.
 """
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -331,11 +333,19 @@ def test_fields_that_cannot_vary_are_told():
         c.make(qpos, qvel, {"body_mass": jnp.ones(2)})
 
 
+@cache
+def pushed(name):
+    """An engine, its worlds with model fields of their own at the start, and one control step of them, compiled."""
+    one = engine(name, DERIVED)
+    begin, step = jax.vmap(one.make), jax.vmap(lambda p: one.step(p, 0.3 * jnp.ones(1), 2))
+    return one, jax.jit(begin)(*start(one.model), varied(one.model)), step, jax.jit(step)
+
+
+@pytest.mark.optimised
 @pytest.mark.parametrize("name", HERE)
 def test_a_saved_world_goes_on_bit_for_bit(name):
-    one = engine(name, DYNAMICS)
-    step = jax.jit(jax.vmap(lambda p: one.step(p, 0.3 * jnp.ones(1), 1)))
-    worlds = step(jax.vmap(one.make)(*start(one.model), varied(one.model)))
+    one, worlds, _, step = pushed(name)
+    worlds = step(worlds)
     saved = jax.device_get(jax.vmap(one.save)(worlds))
     assert all(isinstance(value, np.ndarray) for value in saved.values())
     loaded = jax.jit(jax.vmap(one.load))(saved)
@@ -347,16 +357,13 @@ def test_a_saved_world_goes_on_bit_for_bit(name):
 # Without its barrier a GPU (jax 0.11.2, Warp) stacks zeros here. Run it on every machine that there is.
 @pytest.mark.parametrize("name", HERE)
 def test_what_a_scan_stacks_is_what_single_calls_give(name):
-    one = engine(name, KINEMATICS)
-    worlds = jax.vmap(one.make)(*start(one.model))
-    step = jax.vmap(lambda p: one.step(p, 0.3 * jnp.ones(1), 2))
+    _, worlds, step, alone = pushed(name)
 
     def stacking(physics, _):
         physics = step(physics)
         return physics, physics._replace(carry=())
 
     _, stacked = jax.jit(lambda p: jax.lax.scan(stacking, p, length=4))(worlds)
-    alone = jax.jit(step)
     for t in range(4):
         worlds = alone(worlds)
         for field in ("qpos", "qvel", *KINEMATICS):

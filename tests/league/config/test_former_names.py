@@ -120,6 +120,20 @@ def test_hyperparameters_that_move_may_have_former_names_in_settings_and_checkpo
         assert population.read(state, names) == {"gae_lambda": 0.9, "entropy_coef": 0.25}
 
 
+def test_a_former_name_among_hyperparameters_is_named_once_by_its_place(folder, capsys):
+    told = 'league: deprecated, accepted until the next release: "lam" in training.pbt.hyperparameters is now "gae_l'
+    (folder / "pbt.toml").write_text('[training.pbt]\nready = 9\nhyperparameters = ["lr", "lam"]\n')
+    for args in (["pbt.toml"], ["--training.pbt.ready", "9", "--training.pbt.hyperparameters", "lr,lam"]):
+        assert read(args).config.training.pbt.hyperparameters == ("lr", "gae_lambda")
+        assert capsys.readouterr().err == f'{told}ambda"\n'
+    assert read(["pbt.toml", "--training.pbt.hyperparameters", "gae_lambda"]).former != {}  # the file still has it
+    text = configuration.dumps(configuration.loads((folder / "pbt.toml").read_text()))
+    assert configuration.former_names(text) == {}
+    (folder / "wrong.toml").write_text("[training.pbt]\nready = 9\nhyperparameters = [3]\n")
+    with pytest.raises(ConfigError, match=r"^wrong\.toml:3: training\.pbt\.hyperparameters"):
+        read(["wrong.toml"])
+
+
 def test_a_population_of_an_older_league_goes_on_with_the_same_draws():
     """The numbers are those of commit 5e8de98, under the names of then."""
     own = {"gamma": 0.99, "gae_lambda": 0.95, "lr": 1e-3, "entropy_coef": 0.01}

@@ -84,6 +84,13 @@ def test_counts_are_for_a_whatever_side_it_played(evaluator):
     assert match.steps == 8 * 7
 
 
+def test_results_at_home_are_those_of_a_as_the_first_team(evaluator):
+    played = games([1, 1, 1, 0.5, 1, 0.5, 0, 0.5] + [0] * 8)  # at home, then away, where its score is the rest
+    match = evaluator.pair_match(played, 0, A, B, seats(evaluator, (A, B), (A, C)), TASK, None)
+    assert (match.wins, match.draws, match.losses) == (4, 3, 1)
+    assert (match.side_wins, match.side_draws, match.side_losses) == (3, 1, 0)
+
+
 def test_a_void_game_counts_for_nobody_and_breaks_its_pair(evaluator):
     played = games([1, 1, 1, 1, 0, 0, 0, 0] + [0] * 8, void=(0, 6))
     match = evaluator.pair_match(played, 0, A, B, seats(evaluator, (A, B), (A, C)), TASK, None)

@@ -64,7 +64,8 @@ def kill_manager(run, folder, *held):
     wait_for(folder, lambda store: not [w for w in store.workers("tiny", 3) if w.kinds != "manager"])
 
 
-@pytest.mark.slow  # about a minute of two cores each
+@pytest.mark.slow  # about half a minute of two cores each
+@pytest.mark.optimised
 @pytest.mark.parametrize("run", [TWO, HUNTED], ids=["physics", "exploiter"])
 def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, run):
     """Amid turns and amid rating; also where a player begins anew every few turns, and groups take turns."""
@@ -98,9 +99,10 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, 
 
 @pytest.mark.slow
 def test_a_second_run_of_a_running_league_is_refused_and_stop_reaches_the_first(tmp_path):
-    first = start(*HUNTED, *UNRATED, cwd=tmp_path)
+    run = (*HUNTED, *UNRATED, "--budget.steps", str(10**9))  # it must not end before the second one has begun
+    first = start(*run, cwd=tmp_path)
     wait_for(tmp_path, lambda store: of_kind(store, "manager") and of_kind(store, "train"))
-    second = call(*HUNTED, *UNRATED, cwd=tmp_path)
+    second = call(*run, cwd=tmp_path)
     assert second.returncode == exit_codes.PASSING
     assert "is running already" in second.stderr
     assert call("stop", cwd=tmp_path).returncode == 0

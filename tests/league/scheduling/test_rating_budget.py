@@ -6,7 +6,7 @@ import pytest
 
 from league.commands.run.status import report
 from league.queries.query import Open
-from league.scheduling.rating_budget import describe_share
+from league.scheduling.rating_budget import CREDIT, describe_share, next_slot
 from league.state.league_state import Batches, LeagueState
 from matchmaking.schedule import Schedule
 from storage.store import Store
@@ -45,6 +45,25 @@ def test_a_league_plays_no_more_while_it_trains_than_it_may_and_then_all_it_can(
     assert min(m.id for m in after) > max(m.id for m in booked)
     told = call("status", cwd=tmp_path).stdout
     assert f"Rating: {describe_share(SHARE, trained, rated)}" in told
+
+
+@pytest.mark.parametrize(
+    ("share", "trained", "last", "slot"),
+    [
+        (0.0, 90.0, None, None),
+        (0.1, 0.0, None, 0.0),
+        (0.1, 54.9, Batches(45.0, 1.0), None),  # a second costs ten
+        (0.1, 55.0, Batches(45.0, 1.0), 55.0),
+        (0.1, 58.0, Batches(45.0, 1.0), 55.0),  # two batches may follow in a row
+        (0.5, 46.9, Batches(45.0, 1.0), None),
+        (0.5, 47.0, Batches(45.0, 1.0), 47.0),
+        (1.0, 45.5, Batches(45.0, 1.0), 45.5),  # the next need not wait
+        (0.1, 200.0, Batches(45.0, 1.0), 200.0 - CREDIT),
+        (0.1, 50.0, Batches(90.0, 9.0), 0.0),  # booked under another schedule
+    ],
+)
+def test_batches_are_booked_when_those_before_are_paid_for(share, trained, last, slot):
+    assert next_slot(share, trained, last) == (None if slot is None else pytest.approx(slot))
 
 
 def test_what_was_queued_together_last_is_read_off_the_log_at_once_or_piece_by_piece(tmp_path):

@@ -88,6 +88,20 @@ def test_a_recording_that_fails_is_told_once_and_players_learn_on(duel_store, du
     assert capsys.readouterr().err == "league: this process records no more of training, which goes on: no space left\n"
 
 
+def test_a_milestone_of_training_time_ends_the_turn_with_snapshots(duel_store, duel):
+    config = replace(settings(), deterministic=False)
+    config = replace(config, rating=replace(config.rating, milestones=()))
+    turns(duel_store, config, duel, 4)
+    reached = duel_store.checkpoint(LEAGUE, "blue")
+    assert reached.iteration == 4  # and no snapshot is due by iterations before the eighth
+    soon = f"{reached.seconds + 1e-6:.6f}s"
+    turns(duel_store, replace(config, rating=replace(config.rating, milestones=(soon,))), duel, 1)
+    assert {name: i for name, (i, _) in ends(duel_store).items()} == {"blue": 5, "red": 5}
+    assert [s.iteration for s in duel_store.snapshots(LEAGUE, "blue")] == [0, 1, 2, 4, 5]
+    turns(duel_store, config, duel, 1)
+    assert [s.iteration for s in duel_store.snapshots(LEAGUE, "blue")] == [0, 1, 2, 4, 5, 8]
+
+
 def test_every_iteration_leaves_a_point_of_the_learning_curve(duel_store, duel):
     turns(duel_store, settings(), duel, 4)
     points = duel_store.curves(LEAGUE, "blue")
