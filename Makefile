@@ -6,7 +6,7 @@ USABLE := .venv/.usable
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: league setup check test test-slow test-gpu clean
+.PHONY: league setup check test test-slow test-gpu site clean
 
 league: $(if $(wildcard $(STAMP)),$(STAMP),$(USABLE))  ## Set up what running needs, run a small league, film its last match.
 	$(BIN)/league run --preset quickstart --live
@@ -34,6 +34,9 @@ test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minut
 
 test-gpu: $(STAMP)  ## On a machine with an NVIDIA GPU: all arenas and variants on the engines and kernels of GPUs.
 	$(BIN)/pytest -rs -v -m gpu
+
+site: $(STAMP)  ## The pages as a searchable site in build/site: `python3 -m http.server -d build/site` serves it.
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 clean:  ## Remove what make and the tools wrote; leagues stay.
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache
