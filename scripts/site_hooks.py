@@ -1,4 +1,4 @@
-"""Hooks with which mkdocs makes the site: README as its first page, its table of pages as navigation, linked files as pages.
+"""Hooks of mkdocs: README as first page, its table of pages as navigation, linked files outside `docs/` as pages.
 
 Links in the Markdown files are those of the repository, so they work where the code is hosted. Here a link that leaves
 `docs/` gets a page of the site: Markdown files as they are, other files as code. A link to what does not exist stays as
