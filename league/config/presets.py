@@ -18,7 +18,7 @@ from matchmaking.schedule import Schedule
 def quickstart() -> Config:
     """2v2 rovers that learn to push each other out of a shrinking ring: three minutes on two cores, then ratings."""
     config = default()
-    return replace(config, league="quickstart", budget=Budget(training_time="3m", rating_time="45s"))
+    return replace(config, league="quickstart", budget=Budget(training_time="3m", rating_time="1m"))
 
 
 def duel() -> Config:

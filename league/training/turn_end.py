@@ -14,7 +14,7 @@ from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState, episode_scores
 from league.system.provenance import made_by
 from league.training.learner_pool import Counters, LearnerPool
-from matchmaking.schedule import LearningCounts, next_due, remaining, turn_score
+from matchmaking.schedule import LearningCounts, next_due, remaining, phase_score
 from storage.records import ArenaKey, CurvePoint, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 
@@ -63,7 +63,7 @@ class TurnFinalizer:
         at = {name: LearningCounts(c.iteration, c.steps) for name, c in self.pool.counters.items()}
         if "score" in phase.until:
             (learner,) = phase.learners
-            low = turn_score(episode_scores([*self._earlier, *points])).low
+            low = phase_score(episode_scores([*self._earlier, *points])).low
             at[learner] = at[learner]._replace(low=low)
         return remaining(phase, at) == 0
 
