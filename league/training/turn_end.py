@@ -14,7 +14,7 @@ from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState, episode_scores
 from league.system.provenance import made_by
 from league.training.learner_pool import Counters, LearnerPool
-from matchmaking.schedule import LearningCounts, next_due, remaining, phase_score
+from matchmaking.schedule import LearningCounts, next_due, phase_score, remaining
 from storage.records import ArenaKey, CurvePoint, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from matchmaking.schedule import LearningCounts, Schedule, first_phase, next_due, next_phase, remaining, phase_score
+from matchmaking.schedule import LearningCounts, Schedule, first_phase, next_due, next_phase, phase_score, remaining
 
 TEAMS = {0: "blue", 1: "red", 2: "gold"}
 
