@@ -57,7 +57,9 @@ class Soccer(Arena):
         )  # fmt: skip
         self.rules, self.weights, self.randomisation = rules, settings.reward, settings.randomisation
         self.randomisation.check(self.scene)
-        self.pitch = Pitch(self.scene, self.robots, rules, DROPPED if rules.defects.dropped else {})
+        self.pitch = Pitch(
+            self.scene, self.robots, settings.blue + settings.red, rules, DROPPED if rules.defects.dropped else {}
+        )
         names, blue = list(self.robots), len(settings.blue)
         self._sides = slice(0, blue), slice(blue, len(names))
         self._observation_builder = ObservationBuilder(

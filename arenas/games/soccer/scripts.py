@@ -18,7 +18,7 @@ from jax import Array
 
 from arenas.games.soccer import walls
 from arenas.games.soccer.rules import PitchRules
-from arenas.games.soccer.situation import Situation, angle, clear, left, read_situation, rotated, unit
+from arenas.games.soccer.situation import BUILDS, Situation, angle, clear, left, read_situation, rotated, unit
 from arenas.games.sumo.scripts import GOING, SPEED, Pace, View
 from arenas.robots.robot import Script
 
@@ -41,13 +41,18 @@ Go = Callable[[Pace, Array, Array], Array]  # pace, that vector ahead and left, 
 
 
 def of_soccer(kinds: Collection[str], decision: float, rules: PitchRules) -> dict[str, dict[str, Script]]:
-    """Return the game's scripts, name -> kind -> script; `decision` is the time in seconds between two actions."""
+    """Return the game's scripts, name -> kind -> script, of the kinds that can move by one; `decision` is the time in
+    seconds between two actions.
+    """
+    kinds = [kind for kind in kinds if kind in BUILDS]
     pace = Pace(decision, FULL_SPEED / rules.drive_scale, FULL_STEERING / rules.steer_scale, TROT)
     plans: dict[str, tuple[Plan, bool]] = {
         "striker": (_strike, False),
         "keeper": (_keep, True),
         "chaser": (lambda situation: situation.ball - situation.me, False),
     }
+    if not kinds:
+        return {}
     return {name: {kind: _player(kind, pace, rules, *plan) for kind in kinds} for name, plan in plans.items()}
 
 
