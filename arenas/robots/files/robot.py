@@ -77,7 +77,7 @@ def robot_of(settings: RobotFile) -> Robot:
         actuators=tuple(settings.drives),
         rest_height=settings.height,
         rest=tuple(map(float, gains.home)),
-        command=lambda action: gains.offset + gains.scale * action,
+        command=lambda action: jnp.asarray(gains.offset) + gains.scale * action,
         proprioception=_sensing(gains),
         fallen=lambda pose: (pose[2] < settings.fall_height) | (up_z(pose[3:]) < settings.fall_up),
         scripts={"idle": idle_script(count), "random": random_script(count)},
@@ -86,6 +86,8 @@ def robot_of(settings: RobotFile) -> Robot:
             Part("joint speeds", count, "rad/s", "in the same order"), Part("last action", count),
         ),
         action_parts=(Part("drives", count, "", f"in units of each one's scale, {unit}: {names}"),),
+        feet=settings.feet,
+        torques=gains.torques,
         identity=settings.identity,
     )  # fmt: skip
 
