@@ -37,7 +37,7 @@ def derive(
     drives = drives_of(source, control, passive)
     home = home_of(source)
     drives = {name: _homed(drive, home[name]) for name, drive in drives.items()}
-    height, width, feet = _standing(source, drives)
+    height, width, feet = standing(source, drives)
     drives = _with_gains(source, drives, height)
     touching = len(colliding(source))
     return RobotFile(
@@ -46,6 +46,13 @@ def derive(
         self_contact=_touches_itself(source), free_base=free_base, contacts=min(48, 4 + touching),
         rows=len(drives) + 4 * min(24, 4 + touching), folder=str(path.parent),
     )  # fmt: skip
+
+
+def fitted(source: Source, robot: RobotFile) -> RobotFile:
+    """Return the settings with the height, width and feet of their own standing pose, for a pose that was edited."""
+    height, width, feet = standing(source, robot.drives)
+    fall = _round(robot.fall_height / robot.height * height)
+    return replace(robot, height=height, width=width, feet=feet, fall_height=fall)
 
 
 def home_of(source: Source) -> dict[str, float]:
@@ -70,7 +77,7 @@ def _homed(drive: Drive, home: float) -> Drive:
     return replace(drive, home=_round(home))
 
 
-def _standing(source: Source, drives: dict[str, Drive]) -> tuple[float, float, tuple[str, ...]]:
+def standing(source: Source, drives: dict[str, Drive]) -> tuple[float, float, tuple[str, ...]]:
     """Return height and width in m, and the feet, of the robot in its standing pose."""
     data, touching = home_pose(source, drives), colliding(source)
     if not touching:
