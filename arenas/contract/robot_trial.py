@@ -1,4 +1,4 @@
-"""Trial of one robot on flat ground: it stands, moves each joint, and flails; its mass, contacts and speed are measured.
+"""Trial of one robot on flat ground: it stands, moves each joint and flails; mass, contacts and speed are measured.
 
 All runs on MuJoCo's C engine, except `compare`, which steps the same seconds on another engine.
 """
@@ -92,7 +92,7 @@ class RobotTrial:
         mujoco.mj_kinematics(scene.model, data)
         bodies = np.flatnonzero(scene.model.body_rootid == scene.agents[AGENT].base)
         touching = (scene.model.geom_contype > 0) & np.isin(scene.model.geom_bodyid, bodies)
-        gap = min(lowest(data, g) for g in np.flatnonzero(touching))
+        gap = min(lowest(data, int(g)) for g in np.flatnonzero(touching))
         height = self.robot.rest_height - gap
         ok = abs(gap) < NEAR * height
         detail = f"its base is {height:.4g} m above its lowest point"
@@ -108,7 +108,7 @@ class RobotTrial:
             mujoco.mj_step(scene.model, data)
             if fell is None and bool(self.robot.fallen(jnp.asarray(data.qpos[at : at + 7]))):
                 fell = data.time
-        w, x, y, z = data.qpos[at + 3 : at + 7]
+        x, y = data.qpos[at + 4 : at + 6]
         tilt = np.degrees(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
         sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
         drift = float(np.hypot(data.qpos[at], data.qpos[at + 1]))

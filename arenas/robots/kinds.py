@@ -60,13 +60,15 @@ def check_roster(field: str, kinds: Sequence[str], players: Collection[str] = tu
 
     `players` are the robots in code that can play; robots from files always can.
     """
+    from arenas.robots.files.catalogue import shipped
+
     if not kinds:
         raise ValueError(f"{field}: a team needs at least one robot ({_known(players)})")
     for kind in kinds:
         if kind in players:
             continue
         if not is_file(kind):
-            near = difflib.get_close_matches(kind, players, 1)
+            near = difflib.get_close_matches(kind, (*players, *shipped()), 1)
             hint = f"did you mean {near[0]}? " if near else ""
             raise ValueError(f"{field}: unknown robot {kind!r}: {hint}(robots: {_known(players)})")
         try:

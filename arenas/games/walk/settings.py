@@ -1,4 +1,4 @@
-"""Settings of the walk of any robot with feet; rules and rewards are those of `anymal-walk`. Loads neither jax nor mujoco."""
+"""Settings of the walk of any robot with feet; rules and rewards are those of `anymal-walk`. Loads nothing heavy."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Unpack

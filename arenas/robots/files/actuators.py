@@ -1,4 +1,4 @@
-"""A file's actuators as drives: position, velocity and torque, one for each joint; position targets without actuators."""
+"""A file's actuators as drives, one for each joint: position, velocity or torque; position where it has none."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ def _found(source: Source) -> dict[str, Drive]:
         actuator, joint = model.actuator(i).name or str(i), int(model.actuator_trnid[i, 0])
         if model.actuator_trntype[i] not in JOINTS:
             kind = mujoco.mjtTrn(int(model.actuator_trntype[i])).name.removeprefix("mjTRN_").lower()
-            raise ArenaError(f"{source.path}: actuator {actuator} pulls a {kind}; only those of joints can be read")
+            raise ArenaError(f"{source.path}: actuator {actuator} moves a {kind}; only those of joints can be read")
         if joint not in source.joints:
             continue
         name, drive = source.joint(joint), _drive(source, i, actuator)
@@ -82,8 +82,7 @@ def _drive(source: Source, i: int, actuator: str) -> Drive:
     if plain and model.actuator_biastype[i] == AFFINE and bias[1] == 0 and bias[2] < 0:
         return Drive("velocity", 0.0, most / abs(gear), kd=float(-bias[2]) * gear**2, effort=force)
     raise ArenaError(
-        f"{source.path}: actuator {actuator} is no motor, position or velocity actuator; league robot --control position"
-        " gives all joints targets of position"
+        f"{source.path}: actuator {actuator} is no motor, position or velocity actuator; write it as one of these"
     )
 
 

@@ -1,7 +1,7 @@
 """Construction of a robot from a file: a new body with the file's masses, joints and shapes, and our actuators.
 
-Nothing but numbers is taken over, so that recordings need no mesh, and the same body stands in every scene. A base's own
-frame is turned so that it is upright in the standing pose.
+Nothing but numbers is taken over, so that recordings need no mesh, and the same body stands in every scene. The frame
+of the base is turned so that it is upright in the standing pose.
 """
 
 from typing import Any

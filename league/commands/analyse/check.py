@@ -27,7 +27,8 @@ def check(args: list[str]) -> int:
     own, given = _without_arena_flags(args)
     options = parse(
         CheckOptions, own, "check",
-        "Examine an arena against the contract that the league relies on. Flags such as --arena.blue change its settings.",
+        "Examine an arena against the contract that the league relies on. Flags such as --arena.blue change its"
+        " settings.",
     )  # fmt: skip
     from arenas.contract.check import examine
     from league.config.experiment import change, default

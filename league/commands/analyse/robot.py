@@ -12,7 +12,7 @@ from league.system import exit_codes
 
 if TYPE_CHECKING:
     from arenas.contract.robot_trial import RobotTrial
-    from arenas.robots.files.robot_file import RobotFile
+    from arenas.robots.files.robot_file import Drive, RobotFile
     from arenas.robots.files.source import Source
 
 DRIVES = (Column("joint", no_wrap=True), "control", "home", "scale", "kp", "kd", "effort", "range", "moves")
@@ -143,12 +143,15 @@ def _try(options: RobotOptions, settings: "RobotFile", trial: "RobotTrial") -> b
     moved = {each.joint: each for each in trial.moved()}
     rows: list[dict[str, Any]] = [
         {"joint": name, **{key: getattr(drive, key) for key in ("control", "home", "scale", "kp", "kd")},
-         "effort": drive.effort or "none", "range": f"{drive.low:.2f} {drive.high:.2f}" if drive.low < drive.high else "free",
-         "moves": round(moved[name].by, 3)}
+         "effort": drive.effort or "none", "range": _range(drive), "moves": round(moved[name].by, 3)}
         for name, drive in settings.drives.items()
     ]  # fmt: skip
     print(render(rows, DRIVES))
     return passed
+
+
+def _range(drive: "Drive") -> str:
+    return f"{drive.low:.2f} {drive.high:.2f}" if drive.low < drive.high else "free"
 
 
 def _with_buffers(settings: "RobotFile", trial: "RobotTrial") -> "RobotFile":
