@@ -124,7 +124,9 @@ def _complete(drive: Drive, inertia: float, load: float) -> Drive:
         changes = {"kd": drive.kd or 0.1 * load, "scale": drive.scale or 10.0}
     elif not drive.scale:
         changes = {"scale": drive.effort or HOLDS * load}
-    return replace(drive, **{key: _round(value) for key, value in changes.items()})
+    found = replace(drive, **changes)
+    numbers = {key: value for key, value in vars(found).items() if key != "control"}
+    return replace(found, **{key: _round(value) for key, value in numbers.items()})
 
 
 def _touches_itself(source: Source) -> bool:
