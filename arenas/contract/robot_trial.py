@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from arenas.arena_settings import EngineName, Solver
 from arenas.physics.cpu import cores
 from arenas.physics.registry import make_engine
-from arenas.robots.files.extents import lowest
+from arenas.robots.files.extents import corners, lowest
 from arenas.robots.robot import Robot
 from arenas.scene.scene import Scene, build
 
@@ -98,6 +98,13 @@ class RobotTrial:
         detail = f"its base is {height:.4g} m above its lowest point"
         wrong = "" if ok else f", but height = {self.robot.rest_height:g}: --fit writes what its pose needs"
         return Finding("placed on the ground", ok, detail + wrong)
+
+    def top(self) -> float:
+        """Return the height of its highest shape in the standing pose, m."""
+        scene = self.scenes[STEPS[0]]
+        data = self._data(scene)
+        mujoco.mj_kinematics(scene.model, data)
+        return max(float(corners(data, g)[:, 2].max()) for g in range(1, scene.model.ngeom))
 
     def _stand(self, step: float) -> Finding:
         """Let it stand under the zero action."""

@@ -113,12 +113,13 @@ def _add_geoms(
     """Add a body's shapes. Shapes that touch are drawn too where the body has no others that a mesh replaced."""
     model, shapes, touching = source.model, source.shapes, colliding(source)
     own = [g for g in range(model.ngeom) if model.geom_bodyid[g] == i]
+    heaviest = max(source.bodies, key=lambda body: model.body_mass[body])  # a humanoid's base is its small pelvis
     drawn = [g for g in own if g not in touching and (model.geom_type[g] != MESH or not set(own) & set(touching))]
     for g in own:
         if g not in touching and g not in drawn:
             continue
         pos, quat = _turned(turn, shapes.geom_pos[g], shapes.geom_quat[g])
-        rgba = colour if i == source.base else _colour(model, g)
+        rgba = colour if i in (source.base, heaviest) else _colour(model, g)
         touch = {} if g not in touching else _contact(model, g, body.name in robot.feet)
         bits = DRAWN if g not in touching else TOUCHES | ({} if drawn else {"group": 0})
         body.add_geom(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DRIVES = (Column("joint", no_wrap=True), "control", "home", "scale", "kp", "kd", "effort", "range", "moves")
 
-PICTURE, FRAME = (640, 480), 1.2  # pixels, and the framed radius for a radius of the robot
+PICTURE, FRAME = (640, 480), 1.45  # pixels, and the framed radius for a radius of the robot
 
 
 @dataclass(frozen=True)
@@ -195,8 +195,8 @@ def _draw(trial: "RobotTrial", name: str, width: float, path: Path) -> None:
     )  # fmt: skip
     one = np.zeros((1, 1))
     recording = Recording(header, scene.xml, np.zeros(1), scene.rest[None], {AGENT: np.zeros((1, size))}, one, one)
-    height = trial.robot.rest_height
-    stage = np.array([0.0, 0.0, 0.5 * height]), FRAME * max(height, width / 2)
+    top = trial.top()
+    stage = np.array([0.0, 0.0, top / 2]), FRAME * max(top / 2, width / 2)
     save_picture(Film(recording, PICTURE, labels=False, stage=stage), path, 0.0)
     print(f"Wrote {path}")
 

@@ -186,9 +186,7 @@ def test_two_files_of_one_name_cannot_meet(write, tmp_path):
     other = tmp_path / "other" / "bot.xml"
     other.write_text(mjcf(MOTOR))
     rules = replace(arenas.settings("sumo-1v1").rules, ring=(3.0, 3.0))
-    both = replace(
-        arenas.settings("sumo-1v1"), blue=(str(tmp_path / "bot.xml"),), red=(str(other),), rules=rules
-    )
+    both = replace(arenas.settings("sumo-1v1"), blue=(str(tmp_path / "bot.xml"),), red=(str(other),), rules=rules)
     with pytest.raises(ArenaError, match="two robot files are named bot"):
         both.build(engine="c")
 
