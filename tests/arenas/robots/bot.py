@@ -23,9 +23,10 @@ def mjcf(actuators: str = "", free: str = "<freejoint/>", extra: str = "", knees
     legs = "".join(_LEG.format(leg=leg, x=x, y=y) for leg, (x, y) in LEGS.items())
     joints = [f"{leg}_hip" for leg in LEGS] + [f"{leg}_knee" for leg in knees]
     motors = "".join(actuators.format(joint=joint) for joint in joints)
+    hull = '<geom type="box" size=".2 .1 .05" mass="5" contype="1" conaffinity="0"/>'
     return f"""<mujoco><compiler angle="radian"/><option timestep=".001"/><worldbody>
 <geom type="plane" size="5 5 .1" friction=".7"/><light pos="0 0 3"/><camera pos="1 1 1"/>
-<body name="base" pos="0 0 .6">{free}<geom type="box" size=".2 .1 .05" mass="5" contype="1" conaffinity="0"/>{legs}</body>
+<body name="base" pos="0 0 .6">{free}{hull}{legs}</body>
 </worldbody><actuator>{motors}</actuator>{extra}</mujoco>"""
 
 

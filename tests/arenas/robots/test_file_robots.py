@@ -234,9 +234,9 @@ def test_a_robot_file_beside_a_model_counts(write):
 
 def test_roster_errors_name_the_setting(write):
     settings = arenas.settings("sumo-1v1")
-    with pytest.raises(ValueError, match="blue: unknown robot 'goo1': did you mean go1"):
+    with pytest.raises(ValueError, match=r"blue: unknown robot 'goo1': did you mean go1"):
         replace(settings, blue=("goo1",))
     with pytest.raises(ValueError, match=r"blue: no file my/gone\.xml"):
         replace(settings, blue=("my/gone.xml",))
-    with pytest.raises(ValueError, match='observation: slots .* needs "rich"'):
+    with pytest.raises(ValueError, match=r'observation: slots .* needs "rich"'):
         replace(arenas.settings("sumo-1v1-anymal"), blue=(str(write(mjcf())),))
