@@ -182,4 +182,4 @@ class Drill(Arena):
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return the scripts of matches."""
-        return scripts.of_soccer({robot.kind for robot in self.robots.values()}, CONTROL, self.rules)
+        return scripts.of_soccer(self.robots.values(), CONTROL, self.rules)

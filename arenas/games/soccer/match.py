@@ -180,4 +180,4 @@ class Soccer(Arena):
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return a striker, a keeper and a robot that chases the ball."""
-        return scripts.of_soccer({robot.kind for robot in self.robots.values()}, CONTROL, self.rules)
+        return scripts.of_soccer(self.robots.values(), CONTROL, self.rules)

@@ -12,7 +12,7 @@ from arenas.games.soccer.observation import Ball
 from arenas.games.soccer.rules import WALL, WALL_HEIGHT, PitchRules
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
-from arenas.robots.files.robot import file_robot
+from arenas.robots.files.loading import file_robot
 from arenas.robots.kinds import kind_of
 from arenas.robots.leatherback import MAX_STEERING, leatherback
 from arenas.robots.robot import Robot

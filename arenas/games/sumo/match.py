@@ -33,7 +33,7 @@ from arenas.games.sumo.paper_observation import PaperObservation
 from arenas.games.sumo.settings import CONTROL, ITERATIONS, SPARE_CONTACTS, SPARE_ROWS, SumoRules, SumoSettings
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
-from arenas.robots.files.robot import file_robot
+from arenas.robots.files.loading import file_robot
 from arenas.robots.kinds import KINDS, kind_of
 from arenas.robots.leatherback import leatherback
 from arenas.robots.minitank import minitank
@@ -229,7 +229,7 @@ class Sumo(Arena):
         }
         decision, rover = self.timing.control_interval * self.timing.hold, SumoRules()
         throttle, steering = rover.drive_scale / self.rules.drive_scale, rover.steer_scale / self.rules.steer_scale
-        return scripts.of_match(views, scripts.Pace(decision, throttle, steering))
+        return scripts.of_match(views, scripts.Pace(decision, throttle, steering), self.robots.values())
 
 
 def _won(lost: Array) -> Array:

@@ -15,7 +15,7 @@ from arenas.games.sumo.walk import WALKER, Walk, WalkObservation
 from arenas.games.walk.settings import GOAL, RobotWalkSettings
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
-from arenas.robots.files.robot import file_robot
+from arenas.robots.files.loading import file_robot
 from arenas.robots.kinds import kind_of
 from arenas.robots.kinematics import HeightReader, Heights
 from arenas.robots.robot import Body, Robot

@@ -15,7 +15,7 @@ from arenas.robots.files import robot_file as files
 from arenas.robots.files.catalogue import robot_file
 from arenas.robots.files.defaults import derive, fitted
 from arenas.robots.files.extents import lowest
-from arenas.robots.files.robot import file_robot, robot_of, source_of
+from arenas.robots.files.loading import file_robot, robot_of, source_of
 from arenas.robots.kinds import kind_of
 from arenas.robots.kinematics import HeightReader
 from arenas.scene.scene import build

@@ -9,7 +9,7 @@ import pytest
 from arenas.errors import ArenaError
 from arenas.robots.files import catalogue
 from arenas.robots.files.catalogue import WHEELS, model_path, robot_file, shipped
-from arenas.robots.files.robot import file_robot
+from arenas.robots.files.loading import file_robot
 from arenas.robots.rotations import up_z
 from arenas.scene.scene import build
 

@@ -15,6 +15,7 @@ from jax import Array
 from arenas.description import Part
 from arenas.robots.files.body import build_body, check_names
 from arenas.robots.files.catalogue import model_path, robot_file
+from arenas.robots.files.driving import wheel_drive
 from arenas.robots.files.robot_file import RobotFile
 from arenas.robots.files.source import Source, read_source
 from arenas.robots.robot import MOTION, Body, Robot, idle_script, random_script
@@ -56,7 +57,8 @@ class Gains:
 def file_robot(name: str) -> Robot:
     """Make the robot of a file, or one whose model comes in a wheel. Raises ArenaError, one line.
 
-    It knows the scripts `idle`, which holds the standing pose where targets are positions, and `random`.
+    It knows the scripts `idle`, which holds the standing pose where targets are positions, and `random`; where it has
+    wheels, games have scripts that drive it.
     """
     return robot_of(robot_file(name))
 
@@ -86,6 +88,8 @@ def robot_of(settings: RobotFile) -> Robot:
             Part("joint speeds", count, "rad/s", "in the same order"), Part("last action", count),
         ),
         action_parts=(Part("drives", count, "", f"in units of each one's scale, {unit}: {names}"),),
+        drive=wheel_drive(source, settings),
+        radius=settings.width / 2,
         feet=settings.feet,
         torques=gains.torques,
         identity=settings.identity,

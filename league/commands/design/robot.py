@@ -50,7 +50,7 @@ def robot(args: list[str]) -> int:
         " --arena.blue my/robot.toml.",
     )  # fmt: skip
     from arenas.robots.files.defaults import fitted
-    from arenas.robots.files.robot import robot_of, source_of
+    from arenas.robots.files.loading import robot_of, source_of
 
     target = _target(options)
     settings = _settings(options)

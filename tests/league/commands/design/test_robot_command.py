@@ -61,7 +61,7 @@ def test_a_robot_that_falls_is_written_and_said(capsys, model, tmp_path):
 )
 def test_bad_input_is_one_line_and_changes_nothing(capsys, model, tmp_path, args, said):
     (tmp_path / "kept.toml").write_text("kept")
-    code, out, err = ran(capsys, *args)
+    code, _, err = ran(capsys, *args)
     assert code == 2
     assert said in err
     assert err.count("\n") == 1
