@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 MODULES = (
     "arenas.games.sumo",
+    "arenas.games.walk",
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",

@@ -52,6 +52,10 @@ COMMANDS = {
     "export": ("league.commands.store.policies", "a frozen policy as a safetensors file, with its card"),
     "import": ("league.commands.store.policies", "such a file as a fixed player of a league"),
     "arenas": ("league.commands.analyse.arenas", "the arenas; of one that is named, all about it"),
+    "robot": (
+        "league.commands.design.robot",
+        "read a robot from an MJCF or URDF file, try it, and write its settings",
+    ),
     "check": ("league.commands.analyse.check", "examine an arena, ours or your own: league check file.py:name"),
 }
 

@@ -70,7 +70,7 @@ class SoccerSettings:
     name: str = "soccer-1v1"
     """The arena's name."""
     blue: tuple[str, ...] = ("anymal",)
-    """Blue's robots, by kind: anymal, leatherback; any number. They play towards +x."""
+    """Blue's robots, which play towards +x, by kind: anymal, leatherback, ant, go1, ... or a file (docs/robots.md)."""
     red: tuple[str, ...] = ("leatherback",)
     """Red's robots, which play towards -x; the teams may differ in size and kind."""
     buffer: int = field(default=0, metadata={"low": 0, "high": 1000})

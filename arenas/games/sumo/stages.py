@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Literal, Unpack
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.sumo.observation_layout import size
-from arenas.games.sumo.settings import CONTROL, KINDS, OVERLAPPING, TIMESTEP, lattice_ring
+from arenas.games.sumo.settings import CONTROL, OVERLAPPING, TIMESTEP, lattice_ring
+from arenas.robots.kinds import KINDS
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
