@@ -86,8 +86,8 @@ def _guarded(action: Callable[[], int], debug: bool) -> int:
     except Exception as error:
         if debug:
             raise
-        print(f"league: {_one_line(error)}", file=sys.stderr)
-        return exit_codes.of(error) if _is_expected(error) else exit_codes.NO
+        print(f"league: {one_line(error)}", file=sys.stderr)
+        return exit_codes.of(error) if is_expected(error) else exit_codes.NO
 
 
 def _code(action: Callable[[], int]) -> int:
@@ -162,7 +162,7 @@ def _help() -> str:
     )
 
 
-def _is_expected(error: Exception) -> bool:
+def is_expected(error: Exception) -> bool:
     """Return True for errors that a user can correct: one line states the value given and the possible values."""
     from storage.errors import StorageError
 
@@ -178,14 +178,15 @@ def _is_expected(error: Exception) -> bool:
     return isinstance(error, tuple(known))
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """Return an error as one line: its message, or for a fault of the program its type too."""
     text = " ".join(str(error).split())
     if "@" in text or "=" in text:  # a password in a store's address has these characters beside it
         from storage.database.urls import without_passwords
 
         text = without_passwords(text)
     text = text if len(text) <= LINE else f"{text[: LINE - 300]} ... {text[-200:]}"
-    return text if _is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
+    return text if is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
 
 
 if __name__ == "__main__":

@@ -37,13 +37,18 @@ WHAT = "Run a league: train, play rating matches, go on where it stopped."
 def run(args: list[str]) -> int:
     """Run a league."""
     request = read(args)
-    config, where = request.config, request.options.store
     if request.help:
         from league.commands import help
 
-        print(without_passwords(help.page("run", WHAT, RunOptions, config)))
+        print(without_passwords(help.page("run", WHAT, RunOptions, request.config)))
         return 0
     devices.use(request.options.devices)
+    return execute(request)
+
+
+def execute(request: RunRequest) -> int:
+    """Prepare and run a league; return the exit code. Raises ConfigError, StorageError, ManagerError or PrepareError."""
+    config, where = request.config, request.options.store
     _refuse_if_running(where, config)
     with ExitStack() as until_the_end:
         spec = RunSpec.of(where, config)
