@@ -19,6 +19,7 @@ COMMANDS = {
     "doctor": ("league.commands.run.doctor", "examine this machine: what is missing, and the command that brings it"),
     "init": ("league.commands.run.init", "write a commented league.toml"),
     "presets": ("league.commands.run.preset_list", "the presets, a line each; of one that is named, all settings"),
+    "sweep": ("league.commands.several.sweep", "a grid of settings and seeds, each run a league of one store"),
     "list": ("league.commands.several.leagues", "the leagues of a store, and whether they run"),
     "ratings": ("league.commands.analyse.ratings", "the ratings table"),
     "rate": ("league.commands.analyse.rate", "ratings of a match log of your own, from a CSV file"),

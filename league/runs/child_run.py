@@ -77,6 +77,11 @@ class ChildRun:
         while not self._texts.empty():
             yield self._texts.get()
 
+    def discard(self) -> None:
+        """Throw away what the run has printed so far."""
+        while not self._texts.empty():
+            self._texts.get()
+
     def running(self) -> bool:
         """Return whether the process has not ended."""
         return self._process.poll() is None
