@@ -20,6 +20,10 @@ COMMANDS = {
     "init": ("league.commands.run.init", "write a commented league.toml"),
     "presets": ("league.commands.run.preset_list", "the presets, a line each; of one that is named, all settings"),
     "sweep": ("league.commands.several.sweep", "a grid of settings and seeds, each run a league of one store"),
+    "compare": (
+        "league.commands.several.compare",
+        "leagues side by side: curves with bands, and one ladder by cross-play",
+    ),
     "list": ("league.commands.several.leagues", "the leagues of a store, and whether they run"),
     "ratings": ("league.commands.analyse.ratings", "the ratings table"),
     "rate": ("league.commands.analyse.rate", "ratings of a match log of your own, from a CSV file"),

@@ -17,7 +17,7 @@ from league.config.durations import seconds
 from league.config.experiment import Budget, Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
-from league.runs.run_state import with_retries
+from league.runs.sweeps.run_state import with_retries
 from league.runtime.manager import ManagerError
 from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker

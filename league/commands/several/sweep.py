@@ -9,10 +9,10 @@ from dashboards.tables import Column, render
 from dashboards.text import clock
 from league.commands.options import STORE, parse, positional
 from league.config.schema import ConfigError
-from league.runs import sweep_file
-from league.runs.run_state import run_state
-from league.runs.sweep_file import Sweep, SweepRun, cell_text
-from league.runs.sweep_work import Outcome, SweepWork
+from league.runs.sweeps import sweep_file
+from league.runs.sweeps.run_state import run_state
+from league.runs.sweeps.sweep_file import Sweep, SweepRun, cell_text
+from league.runs.sweeps.sweep_work import Outcome, SweepWork
 from league.system.exit_codes import DONE, NO
 from storage.errors import NotAStore
 from storage.store import Store
@@ -99,7 +99,7 @@ def _grid(found: Sweep, where: str, parallel: int) -> int:
 
 
 def _search(found: Sweep, where: str, parallel: int) -> int:
-    from league.runs.search import Search
+    from league.runs.sweeps.search import Search
 
     search, total = Search(found, where), Outcome()
     seeds = len(found.settings.seeds)

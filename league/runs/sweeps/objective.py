@@ -3,7 +3,7 @@
 import math
 
 from league.queries.query import Open
-from league.runs.sweep_file import Objective
+from league.runs.sweeps.sweep_file import Objective
 
 
 def objective(opened: Open, kind: Objective = "vs_initial") -> float:

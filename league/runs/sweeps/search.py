@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from league.config.schema import ConfigError
 from league.queries.query import Open
-from league.runs.objective import objective
-from league.runs.run_state import flat_settings, run_state
-from league.runs.sweep_file import Sweep, SweepRun
+from league.runs.sweeps.objective import objective
+from league.runs.sweeps.run_state import flat_settings, run_state
+from league.runs.sweeps.sweep_file import Sweep, SweepRun
 from league.state.curriculum_stage import at_work
 from storage.store import Store
 

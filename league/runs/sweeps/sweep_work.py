@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 from league.config.schema import ConfigError
 from league.runs.child_run import ChildRun, RunError
-from league.runs.run_state import other_settings, run_state
-from league.runs.sweep_file import SweepRun
+from league.runs.sweeps.run_state import other_settings, run_state
+from league.runs.sweeps.sweep_file import SweepRun
 from league.state.curriculum_stage import at_work
 from league.state.liveness import leader
 from league.system import devices
