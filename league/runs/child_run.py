@@ -117,4 +117,3 @@ class ChildRun:
             while data := os.read(out.fileno(), 65536):
                 if text := decoder.decode(data):
                     self._texts.put(text)
-

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from league.queries import recordings
 from league.queries.league_status import gather_status
 from league.queries.opponents import explained
-from league.queries.query import Open, choose
+from league.queries.query import Open, choose, match_rows
 from league.queries.ratings.metagame import table
 from league.runs.episode import Episode
 from storage.errors import StorageError
@@ -56,8 +56,8 @@ class OpenLeague(Open):
         ladder = self.ladder(choose(self.ladders(), arena, engine))
         snapshots, players = self.store.snapshots(self.league, brief=True), self.store.players(self.league)
         found = table(ladder, snapshots, players, rows, columns, newest)
-        names = {"index": pd.Index(found.rows, name="row"), "columns": pd.Index(found.columns)}
-        return Payoff(pd.DataFrame(found.scores, **names), pd.DataFrame(found.games, **names))
+        down, across = pd.Index(found.rows, name="row"), pd.Index(found.columns)
+        return Payoff(pd.DataFrame(found.scores, down, across), pd.DataFrame(found.games, down, across))
 
     def explain(self, player: str) -> "pd.DataFrame":
         """Return a row per opponent that a player may meet in training now: probability, win rate, games, ...
@@ -70,13 +70,14 @@ class OpenLeague(Open):
         rows = [{"team": team["team"], **row} for team in found["teams"] for row in team["opponents"]]
         frame = pd.DataFrame(rows)
         why = {team["team"]: team["why"] for team in found["teams"]}
-        frame.attrs = {key: value for key, value in found.items() if key != "teams"} | {"why": why}
+        frame.attrs.update({key: value for key, value in found.items() if key != "teams"}, why=why)
         return frame
 
     def recordings(self) -> "pd.DataFrame":
         """Return the matches that were recorded, as rows of `matches()`; empty if there is none."""
-        found = self.matches()
-        return found[found["recorded"]].reset_index(drop=True) if len(found) else found
+        import pandas as pd
+
+        return pd.DataFrame(match_rows(m for m in self.store.matches(self.league) if m.recording is not None))
 
     def recording(self, match: int | None = None, episode: int = 0, **wish: Any) -> Episode:
         """Return a recorded episode: of a match by its number, else of the newest match.

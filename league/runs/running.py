@@ -13,6 +13,8 @@ from league.runs.python_settings import config_of
 from storage.errors import StorageError
 from storage.store import Store
 
+CLEAR = "\r\033[K"  # returns to the beginning of a terminal's line and clears it, as the run prints it
+NOTEBOOK_WIDTH = 100  # columns
 Progress = bool | Callable[[OpenLeague], Any]
 
 
@@ -44,9 +46,10 @@ def run(
 
 def _follow(child: ChildRun, where: str, config: Config, progress: Progress) -> None:
     """Show the output of a run, or call `progress` with the league, until the run ends."""
+    erase = f"\r{' ' * NOTEBOOK_WIDTH}\r" if _in_notebook() else CLEAR  # a notebook knows no codes of terminals
     for text in child.output():
-        if progress is True:
-            print(text, end="", flush=True)
+        if progress is True and text:
+            print(text.replace(CLEAR, erase), end="", flush=True)
         elif callable(progress) and child.running():
             try:
                 with OpenLeague(Store.open(where, blobs=config.storage.blobs), config.league) as opened:
@@ -57,6 +60,10 @@ def _follow(child: ChildRun, where: str, config: Config, progress: Progress) -> 
 
 def _width() -> int | None:
     """Return the columns of a status line that is written again and again; None where lines can only follow."""
-    if type(sys.stdout).__module__.startswith("ipykernel"):
-        return 100
+    if _in_notebook():
+        return NOTEBOOK_WIDTH
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def _in_notebook() -> bool:
+    return type(sys.stdout).__module__.startswith("ipykernel")

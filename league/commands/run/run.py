@@ -47,7 +47,10 @@ def run(args: list[str]) -> int:
 
 
 def execute(request: RunRequest) -> int:
-    """Prepare and run a league; return the exit code. Raises ConfigError, StorageError, ManagerError or PrepareError."""
+    """Prepare and run a league; return the exit code.
+
+    Raises ConfigError, StorageError, ManagerError or PrepareError.
+    """
     config, where = request.config, request.options.store
     _refuse_if_running(where, config)
     with ExitStack() as until_the_end:

@@ -94,7 +94,9 @@ def _ranks(groups: Sequence[Cell], rows: Sequence[Row], merit: str) -> list:
     from league.runs.comparison.cell_ranks import ranked
 
     rosters = list(dict.fromkeys(row["roster"] for row in rows))
-    sides = [("" if len(rosters) == 1 else side_text(each), [r for r in rows if r["roster"] == each]) for each in rosters]
+    sides = [
+        ("" if len(rosters) == 1 else side_text(each), [r for r in rows if r["roster"] == each]) for each in rosters
+    ]
     return [(side, ranks) for side, own in sides if (ranks := ranked(groups, own, merit))]
 
 
@@ -121,8 +123,8 @@ def _ladder(options: CompareOptions, found: Sequence[Member], store: Store) -> t
     if ladder.arena is None:
         return [], []
     notes = [
-        f"{episodes:,} episodes were played now in {crossed.arena.name}; all are kept in a league, which shows who beats"
-        f" whom:\n  league payoff --store {options.store} --league {crossed.league}"
+        f"{episodes:,} episodes were played now in {crossed.arena.name}; all are kept, and show who beats whom:"
+        f"\n  league payoff --store {options.store} --league {crossed.league}"
     ]
     if others := crossed.elsewhere:
         notes.append(f"These learnt under other rules or rewards than those of the matches: {', '.join(others)}.")

@@ -1,7 +1,7 @@
 """`league sweep`: a grid of settings and seeds, each run a league of one store."""
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -56,8 +56,6 @@ def sweep(args: list[str]) -> int:
 
 
 def _with_blobs(found: Sweep, blobs: str) -> Sweep:
-    from dataclasses import replace
-
     storage = found.base.get("storage")
     own = dict(storage) if isinstance(storage, dict) else {}
     if own.get("blobs", blobs) != blobs:
@@ -114,12 +112,13 @@ def _search(found: Sweep, where: str, parallel: int) -> int:
             told = "not known" if value is None else f"{value:.4g}"
             _say(f"{cell_text(runs[0].cell)}: {found.settings.objective} {told}")
     if best := search.best():
-        _say(f"Best of {len(search.study.trials)} points: {cell_text(best[0])}, {found.settings.objective} {best[1]:.4g}.")
+        points, merit = len(search.study.trials), found.settings.objective
+        _say(f"Best of {points} points: {cell_text(best[0])}, {merit} {best[1]:.4g}.")
     return _end(found, where, total, len(total.finished) + len(total.failed) + len(total.elsewhere))
 
 
 def _end(found: Sweep, where: str, outcome: Outcome, count: int) -> int:
-    parts = [f"{len(outcome.finished)} of {count} runs have finished"]
+    parts = [f"{len(outcome.finished)} of {count} runs have finished" if count else "nothing was left to run"]
     parts += [f"{len(outcome.elsewhere)} are run by other processes"] if outcome.elsewhere else []
     parts += [f"{len(outcome.failed)} failed, and the same command tries them again"] if outcome.failed else []
     _say(f"{'; '.join(parts)}. `league compare --sweep {found.name} --store {where}` compares them.")

@@ -87,7 +87,7 @@ def _matching(store: Store, pattern: str) -> Iterator[str]:
             yield league.name
         elif any(c in pattern for c in "*?[") and fnmatchcase(league.name, pattern):
             of = course(store, league.name)
-            if of is None and not league.name.startswith(CROSS_PLAY) or (of is not None and of.root == league.name):
+            if (of is None and not league.name.startswith(CROSS_PLAY)) or (of is not None and of.root == league.name):
                 yield league.name
 
 

@@ -87,7 +87,9 @@ class CrossPlay:
         prefix = member.opened.league if "#" not in member.name else member.name.replace("#", ".").replace("/", "-")
         for snapshot in _newest(member):
             own = players[str(snapshot.player)]
-            player = replace(own, league=self.league, name=f"{prefix}.{own.name}", group=prefix, role="fixed", paused=None)
+            player = replace(
+                own, league=self.league, name=f"{prefix}.{own.name}", group=prefix, role="fixed", paused=None
+            )
             copy = replace(
                 snapshot, league=self.league, name=f"{prefix}.{snapshot.name}", player=player.name, parent=None,
                 initial=False, settings="",

@@ -123,7 +123,9 @@ def page(found: Comparison, title: str, about: str) -> Page:
         ]
         about_ladder = "The newest snapshots on one ladder, with 95 % intervals, coloured by cell."
         table = TableBlock(render(rows, (), "html", "Ladder"), "Ladder")
-        sections.append(Section("ladder", "Ladder", [FigureBlock(figures.ladder(drawn, found.merit), about_ladder), table]))
+        sections.append(
+            Section("ladder", "Ladder", [FigureBlock(figures.ladder(drawn, found.merit), about_ladder), table])
+        )
         cells = TableBlock(render(found.cell_rows(), (), "html", "Cells"), "Cells")
         sections.append(Section("cells", "Cells", ["\n".join([*found.verdicts(), *found.notes]), cells]))
     return Page(title, about, sections)

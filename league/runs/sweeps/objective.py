@@ -1,8 +1,10 @@
 """The figure of merit of a league: how good its players' newest rated snapshots are."""
 
 import math
+import statistics
 
 from league.queries.query import Open
+from league.queries.ratings.rating_rows import Row, rating_rows
 from league.runs.sweeps.sweep_file import Objective
 
 
@@ -11,13 +13,12 @@ def objective(opened: Open, kind: Objective = "vs_initial") -> float:
 
     In an arena of one team a score against initial is the success rate. nan if no player has a rated snapshot.
     """
-    shown = opened.ratings()
-    if kind == "vs_initial" and "success" in shown and shown["success"].notna().any():
-        kind = "success"
-    if "player" not in shown:
-        return math.nan
-    rated = shown[shown["player"].notna() & shown[kind].notna() & (shown["iteration"] > 0)]
-    if kind == "elo":
-        rated = rated[rated["known"]]
-    newest = rated.sort_values("iteration").groupby("player").tail(1)
-    return float(newest[kind].astype(float).mean()) if len(newest) else math.nan
+    shown = opened.shown()
+    ladder = shown.ladders[0]
+    rows = rating_rows(ladder, shown.snapshots, shown.players, shown.void_limit)
+    key = "success" if kind == "vs_initial" and ladder.one_team else kind
+    newest: dict[str, Row] = {}
+    for row in sorted(rows, key=lambda row: row["iteration"] or 0):
+        if row["player"] and row["iteration"] and row[key] is not None and (row["known"] or key != "elo"):
+            newest[row["player"]] = row
+    return statistics.fmean(row[key] for row in newest.values()) if newest else math.nan

@@ -7,7 +7,8 @@ goes on.
 import math
 import statistics
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
+from typing import Any
 
 from league.config.schema import ConfigError
 from league.queries.query import Open
@@ -17,9 +18,6 @@ from league.runs.sweeps.sweep_file import Sweep, SweepRun
 from league.state.curriculum_stage import at_work
 from storage.store import Store
 
-if TYPE_CHECKING:
-    import optuna
-
 DIGITS = 3  # of a searched number: its run has it in its name
 
 
@@ -28,28 +26,28 @@ class Search:
 
     def __init__(self, sweep: Sweep, store: str):
         try:
-            import optuna
+            optuna: Any = import_module("optuna")
         except ImportError as error:
             need = f"a search over ranges needs Optuna ({error}): pip install 'robot-league[sweep]'"
             raise ConfigError(("sweep", "trials"), need) from None
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._optuna, self.sweep, self._where = optuna, sweep, store
         self.distributions = self._distributions()
-        sampler = optuna.samplers.TPESampler(seed=sweep.settings.seeds[0])
-        self.study = optuna.create_study(direction="maximize", sampler=sampler)
+        self.study = optuna.create_study(direction="maximize")
 
-    def rounds(self, parallel: int) -> "Iterator[list[tuple[optuna.trial.Trial, list[SweepRun]]]]":
+    def rounds(self, parallel: int) -> Iterator[list[tuple[Any, list[SweepRun]]]]:
         """Yield the next trials with their runs, some at a time; call `tell` of each before the next round."""
-        begun = self._earlier()
-        for cell in begun:
-            self.study.enqueue_trial(cell)
+        for params in self._earlier():
+            self.study.enqueue_trial(params)
+        seed = self.sweep.settings.seeds[0] + len(self.study.trials)  # else a later call would ask for the same points
+        self.study.sampler = self._optuna.samplers.TPESampler(seed=seed)
         assert self.sweep.settings.trials is not None
         each = len(self.sweep.settings.seeds)
         while (left := self.sweep.settings.trials - len(self.study.trials) + self._waiting()) > 0:
             asked = [self.study.ask(self.distributions) for _ in range(min(left, max(1, parallel // each)))]
             yield [(trial, self.sweep.of_cell(self._cell(trial.params))) for trial in asked]
 
-    def tell(self, trial: "optuna.trial.Trial", runs: list[SweepRun]) -> float | None:
+    def tell(self, trial: Any, runs: list[SweepRun]) -> float | None:
         """Tell Optuna the mean objective of a trial's runs, and return it; None if a run failed or is not rated."""
         values = [self._value(run) for run in runs]
         known = [value for value in values if value is not None and not math.isnan(value)]
@@ -77,8 +75,11 @@ class Search:
         for key, value in params.items():
             if key in self.sweep.grid:
                 cell[key] = self.sweep.grid[key][int(value)]
+            elif isinstance(value, float):
+                over, short = self.sweep.ranges[key], float(f"{value:.{DIGITS}g}")
+                cell[key] = min(max(short, over.low), over.high)
             else:
-                cell[key] = float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+                cell[key] = value
         return cell
 
     def _distributions(self) -> dict[str, Any]:

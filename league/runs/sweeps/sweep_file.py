@@ -154,14 +154,17 @@ def _sweep(table: dict[str, Any], own: dict[str, Any], text: str, source: str, s
     try:
         settings = build(SweepSettings, own)
     except ConfigError as error:
-        raise ConfigError((TABLE, *error.key), f"sweep.{error.message}" if error.key else error.message) from None
+        message = error.message if error.message.startswith("unknown key") else f"sweep.{error.message}"
+        raise ConfigError((TABLE, *error.key), message if error.key else error.message) from None
     if ranges and settings.trials is None:
         raise ConfigError(
             (TABLE, "grid", *next(iter(ranges)).split(".")),
             f"{next(iter(ranges))} is a range, which is searched: give sweep.trials, or a list of values",
         )
     if settings.trials is not None and not ranges:
-        raise ConfigError((TABLE, "trials"), "sweep.trials: nothing is searched; give a range in sweep.grid, or no trials")
+        raise ConfigError(
+            (TABLE, "trials"), "sweep.trials: nothing is searched; give a range in sweep.grid, or no trials"
+        )
     return Sweep(settings, {k: v for k, v in table.items() if k not in ("league", "seed")}, grid, ranges, text, source)
 
 
