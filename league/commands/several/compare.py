@@ -20,6 +20,7 @@ from league.runs.comparison.cells import Cell, Member, cells, members
 from league.runs.comparison.curve_bands import bands, metric_of
 from league.runs.comparison.report import Comparison, page, text
 from storage.blobs.files import new_file
+from storage.database.urls import display_location
 from storage.store import Store
 
 
@@ -124,7 +125,7 @@ def _ladder(options: CompareOptions, found: Sequence[Member], store: Store) -> t
         return [], []
     notes = [
         f"{episodes:,} episodes were played now in {crossed.arena.name}; all are kept, and show who beats whom:"
-        f"\n  league payoff --store {options.store} --league {crossed.league}"
+        f"\n  league payoff --store {display_location(options.store)} --league {crossed.league}"
     ]
     if others := crossed.elsewhere:
         notes.append(f"These learnt under other rules or rewards than those of the matches: {', '.join(others)}.")

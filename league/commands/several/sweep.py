@@ -14,6 +14,7 @@ from league.runs.sweeps.run_state import run_state
 from league.runs.sweeps.sweep_file import Sweep, SweepRun, cell_text
 from league.runs.sweeps.sweep_work import Outcome, SweepWork
 from league.system.exit_codes import DONE, NO
+from storage.database.urls import display_location
 from storage.errors import NotAStore
 from storage.store import Store
 
@@ -92,7 +93,9 @@ def _states(runs: list[SweepRun], where: str) -> list[str]:
 
 def _grid(found: Sweep, where: str, parallel: int) -> int:
     runs = found.runs()
-    _say(f"Sweep {found.name}: {len(runs)} runs, {parallel} at a time; stored in {where}. Ctrl-C stops them.")
+    _say(
+        f"Sweep {found.name}: {len(runs)} runs, {parallel} at a time; stored in {display_location(where)}. Ctrl-C stops them."
+    )
     return _end(found, where, SweepWork(where, parallel, _say).work_off(runs), len(runs))
 
 
@@ -101,7 +104,9 @@ def _search(found: Sweep, where: str, parallel: int) -> int:
 
     search, total = Search(found, where), Outcome()
     seeds = len(found.settings.seeds)
-    _say(f"Sweep {found.name} searches {found.settings.trials} points, {seeds} runs each; stored in {where}.")
+    _say(
+        f"Sweep {found.name} searches {found.settings.trials} points, {seeds} runs each; stored in {display_location(where)}."
+    )
     for asked in search.rounds(parallel):
         done = SweepWork(where, parallel, _say).work_off([run for _, runs in asked for run in runs])
         total.finished += done.finished
@@ -121,7 +126,7 @@ def _end(found: Sweep, where: str, outcome: Outcome, count: int) -> int:
     parts = [f"{len(outcome.finished)} of {count} runs have finished" if count else "nothing was left to run"]
     parts += [f"{len(outcome.elsewhere)} are run by other processes"] if outcome.elsewhere else []
     parts += [f"{len(outcome.failed)} failed, and the same command tries them again"] if outcome.failed else []
-    _say(f"{'; '.join(parts)}. `league compare --sweep {found.name} --store {where}` compares them.")
+    _say(f"{'; '.join(parts)}. `league compare --sweep {found.name} --store {display_location(where)}` compares them.")
     return NO if outcome.failed else DONE
 
 
