@@ -92,10 +92,8 @@ def _states(runs: list[SweepRun], where: str) -> list[str]:
 
 
 def _grid(found: Sweep, where: str, parallel: int) -> int:
-    runs = found.runs()
-    _say(
-        f"Sweep {found.name}: {len(runs)} runs, {parallel} at a time; stored in {display_location(where)}. Ctrl-C stops them."
-    )
+    runs, place = found.runs(), display_location(where)
+    _say(f"Sweep {found.name}: {len(runs)} runs, {parallel} at a time; stored in {place}. Ctrl-C stops them.")
     return _end(found, where, SweepWork(where, parallel, _say).work_off(runs), len(runs))
 
 
@@ -103,10 +101,8 @@ def _search(found: Sweep, where: str, parallel: int) -> int:
     from league.runs.sweeps.search import Search
 
     search, total = Search(found, where), Outcome()
-    seeds = len(found.settings.seeds)
-    _say(
-        f"Sweep {found.name} searches {found.settings.trials} points, {seeds} runs each; stored in {display_location(where)}."
-    )
+    seeds, place = len(found.settings.seeds), display_location(where)
+    _say(f"Sweep {found.name} searches {found.settings.trials} points, {seeds} runs each; stored in {place}.")
     for asked in search.rounds(parallel):
         done = SweepWork(where, parallel, _say).work_off([run for _, runs in asked for run in runs])
         total.finished += done.finished
