@@ -17,6 +17,7 @@ from agents.policy.jax_policy import (
     stack_policies,
     update_memory,
 )
+from agents.settings import SQUASH_EDGE
 from league.config import experiment
 from league.snapshots.programs import stored
 from league.snapshots.programs.model import AgentSizes
@@ -98,7 +99,9 @@ def _learnt(params: Params) -> Seat:
     @jax.jit
     def mean(seen: jax.Array, kept: jax.Array | None) -> jax.Array:
         found, _ = distribution(params, seen, kept)
-        return params["squash"] * jnp.tanh(found / params["squash"]) if "squash" in params else found
+        if "squash" not in params:
+            return found
+        return params["squash"] * jnp.clip(jnp.tanh(found / params["squash"]), -SQUASH_EDGE, SQUASH_EDGE)
 
     drawn, remembered = jax.jit(lambda *given: sample(params, *given)[0]), jax.jit(update_memory)
 

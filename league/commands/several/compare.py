@@ -17,8 +17,8 @@ from league.config.schema import ConfigError
 from league.config.sections import check_name
 from league.queries.ratings.rating_rows import Row, side_text
 from league.runs.comparison.cells import Cell, Member, cells, members
+from league.runs.comparison.comparison_report import Comparison, page, text
 from league.runs.comparison.curve_bands import bands, metric_of
-from league.runs.comparison.report import Comparison, page, text
 from storage.blobs.files import new_file
 from storage.database.urls import display_location
 from storage.store import Store

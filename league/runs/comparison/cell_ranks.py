@@ -1,4 +1,4 @@
-"""How good cells are: the mean of their leagues on one ladder, with an interval over the leagues."""
+"""Ranks of cells: the mean of their leagues on one ladder, with an interval over the leagues."""
 
 import math
 import statistics

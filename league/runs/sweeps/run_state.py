@@ -1,4 +1,4 @@
-"""How far a league is that a configuration describes: whether anything is left to do, and what was set otherwise."""
+"""The progress of a league that a configuration describes: what is left to do, and what was set otherwise."""
 
 import tomllib
 from collections.abc import Iterator, Mapping

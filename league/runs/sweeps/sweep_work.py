@@ -25,10 +25,10 @@ Report = Callable[[str], None]
 
 @dataclass
 class Outcome:
-    """What became of runs, by name."""
+    """The fate of runs, by name."""
 
     finished: list[str] = field(default_factory=list)
-    failed: dict[str, str] = field(default_factory=dict)  # name -> why, in one line
+    failed: dict[str, str] = field(default_factory=dict)  # name -> reason, in one line
     elsewhere: list[str] = field(default_factory=list)  # run by another process
 
 
