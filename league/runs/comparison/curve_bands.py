@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from league.config.schema import ConfigError
+from league.queries.ratings.rating_rows import rating_rows
 from league.runs.comparison.cells import Cell, Member
 
 OF_SNAPSHOTS = ("vs_initial", "success", "elo")
@@ -57,8 +58,6 @@ def _curve(member: Member, metric: str) -> tuple[np.ndarray, np.ndarray]:
     if metric in OF_SNAPSHOTS:
         opened = member.opened
         shown = opened.shown()
-        from league.queries.ratings.rating_rows import rating_rows
-
         steps = {s.name: s.step for s in shown.snapshots if s.player}
         rows = rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
         rated = [row for row in rows if metric != "elo" or row["known"]]
