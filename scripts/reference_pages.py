@@ -36,6 +36,7 @@ HEAD = "<!-- written from the code: python -m scripts.reference_pages -->"
 WIDTH = 120
 ROOMS = {
     "run": "Running a league",
+    "several": "Several leagues",
     "analyse": "Ratings, tables and checks",
     "watch": "Watching",
     "play": "Matches of your own",

@@ -18,6 +18,13 @@ COMMANDS = {
     "status": ("league.commands.run.status", "what runs, who learns, which jobs wait or were set aside"),
     "doctor": ("league.commands.run.doctor", "examine this machine: what is missing, and the command that brings it"),
     "init": ("league.commands.run.init", "write a commented league.toml"),
+    "presets": ("league.commands.run.preset_list", "the presets, a line each; of one that is named, all settings"),
+    "sweep": ("league.commands.several.sweep", "a grid of settings and seeds, each run a league of one store"),
+    "compare": (
+        "league.commands.several.compare",
+        "leagues side by side: curves with bands, and one ladder by cross-play",
+    ),
+    "list": ("league.commands.several.leagues", "the leagues of a store, and whether they run"),
     "ratings": ("league.commands.analyse.ratings", "the ratings table"),
     "rate": ("league.commands.analyse.rate", "ratings of a match log of your own, from a CSV file"),
     "matches": ("league.commands.analyse.tables", "the match log"),
@@ -88,8 +95,8 @@ def _guarded(action: Callable[[], int], debug: bool) -> int:
     except Exception as error:
         if debug:
             raise
-        print(f"league: {_one_line(error)}", file=sys.stderr)
-        return exit_codes.of(error) if _is_expected(error) else exit_codes.NO
+        print(f"league: {one_line(error)}", file=sys.stderr)
+        return exit_codes.of(error) if is_expected(error) else exit_codes.NO
 
 
 def _code(action: Callable[[], int]) -> int:
@@ -164,7 +171,7 @@ def _help() -> str:
     )
 
 
-def _is_expected(error: Exception) -> bool:
+def is_expected(error: Exception) -> bool:
     """Return True for errors that a user can correct: one line states the value given and the possible values."""
     from storage.errors import StorageError
 
@@ -180,14 +187,15 @@ def _is_expected(error: Exception) -> bool:
     return isinstance(error, tuple(known))
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """Return an error as one line: its message, or for a fault of the program its type too."""
     text = " ".join(str(error).split())
     if "@" in text or "=" in text:  # a password in a store's address has these characters beside it
         from storage.database.urls import without_passwords
 
         text = without_passwords(text)
     text = text if len(text) <= LINE else f"{text[: LINE - 300]} ... {text[-200:]}"
-    return text if _is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
+    return text if is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
 
 
 if __name__ == "__main__":

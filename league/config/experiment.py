@@ -20,7 +20,7 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.schema import ConfigError
+from league.config.schema import ConfigError, Key
 from league.config.sections import (
     Budget,
     Buffers,
@@ -247,13 +247,15 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
     return base if name in (None, base.arena.name) else replace(base, arena=default(name).arena)
 
 
-def loads(text: str, source: str = "league.toml", given: flags.Given | None = None) -> Config:
+def loads(
+    text: str, source: str = "league.toml", given: flags.Given | None = None, over: Mapping[str, Any] | None = None
+) -> Config:
     """Read a configuration from TOML; missing keys have the defaults of the named arena.
 
-    `given` holds the text of flags by their keys; a flag overrides the file. Raises ConfigError, one line with the
-    place of the error: the file and its line, or the flag.
+    `given` holds the text of flags by their keys; a flag overrides the file. So do `over`, tables of values. Raises
+    ConfigError, one line with the place of the error: the file and its line, or the flag.
     """
-    given, table = given or {}, toml.parse(text, source)
+    given, table = given or {}, flags.merged(toml.parse(text, source), over or {})
     base = base_of(table, given, source, text)
     table.pop(PRESET, None)
     former: Former = {}
@@ -269,7 +271,21 @@ def loads(text: str, source: str = "league.toml", given: flags.Given | None = No
         if flags.is_of(error.key, given):
             raise flags.as_flag(error) from None
         key = former.get(error.key, error.key)
+        if not text or _names(over or {}, key):
+            raise ConfigError(error.key, error.message) from None
         raise ConfigError(error.key, error.message, f"{toml.place(key, text, source)}: ") from None
+
+
+def _names(tables: Mapping[str, Any], key: Key) -> bool:
+    """Return whether tables hold a value at a key, or at a part of it."""
+    own: Any = tables
+    for name in key:
+        if not isinstance(own, Mapping):
+            return True
+        if name not in own:
+            return False
+        own = own[name]
+    return bool(key)
 
 
 def former_names(text: str, source: str = "league.toml") -> Former:

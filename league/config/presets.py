@@ -232,5 +232,8 @@ def preset(name: str) -> Config:
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, 1)
         hint = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(("preset",), f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)})")
+        raise ConfigError(
+            ("preset",),
+            f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)}; `league presets` tells what each is)",
+        )
     return PRESETS[name]()

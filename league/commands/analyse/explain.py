@@ -8,11 +8,7 @@ from typing import Any, Literal
 
 from dashboards.tables import render
 from league.commands.options import Where, parse, positional
-from league.queries.league_facts import read_hyperparameters
-from league.queries.opponents import explain_opponents, mark_present, opponent_columns
-from league.queries.status_lines import copying
-from league.state.league_state import LeagueState
-from storage.errors import UnknownName
+from league.queries.opponents import explained, mark_present, opponent_columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,15 +25,7 @@ def explain(args: list[str]) -> int:
     """Print a player's opponents."""
     options = parse(ExplainOptions, args, "explain", "Whom a player meets in training now, how often, and why.")
     with options.open() as opened:
-        state = LeagueState.of(opened.store, opened.league)
-        settings = opened.settings()
-        role_of, seed = settings.roles(), settings.get("seed", otherwise=1)
-        moved = read_hyperparameters(opened.store, settings, state).get(options.player)
-    player = next((p for p in state.players if p.name == options.player), None)
-    if player is None:
-        raise UnknownName("player", options.player, [p.name for p in state.players])
-    copies = None if moved is None else copying(settings.copies_after, state, player.name, moved)
-    found = explain_opponents(role_of(player.role), state, player, seed) | {"population": copies}
+        found = explained(opened, options.player)
     if options.format == "json":
         print(json.dumps(found, indent=2))
     else:

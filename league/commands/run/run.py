@@ -18,13 +18,13 @@ from league.config.durations import seconds
 from league.config.experiment import Budget, Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
+from league.runs.sweeps.run_state import with_retries
 from league.runtime.manager import ManagerError
 from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.scheduling import curriculum
 from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.turn_scheduler import trained_enough
-from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState
 from league.state.liveness import leader, place
 from league.system import devices, exit_codes, provenance
@@ -38,11 +38,10 @@ WHAT = "Run a league: train, play rating matches, go on where it stopped."
 def run(args: list[str]) -> int:
     """Run a league."""
     request = read(args)
-    config, where = request.config, request.options.store
     if request.help:
         from league.commands import help
 
-        print(without_passwords(help.page("run", WHAT, RunOptions, config)))
+        print(without_passwords(help.page("run", WHAT, RunOptions, request.config)))
         return 0
     if request.options.live and (request.options.detach or config.stages):
         which = "--detach" if request.options.detach else "a curriculum, which is a league for each stage"
@@ -50,6 +49,15 @@ def run(args: list[str]) -> int:
             (), f"--live shows a league that runs at this terminal, not {which}: use `league watch --live`"
         )
     devices.use(request.options.devices)
+    return execute(request)
+
+
+def execute(request: RunRequest) -> int:
+    """Prepare and run a league; return the exit code.
+
+    Raises ConfigError, StorageError, ManagerError or PrepareError.
+    """
+    config, where = request.config, request.options.store
     _refuse_if_running(where, config)
     with ExitStack() as until_the_end:
         spec = RunSpec.of(where, config)
@@ -71,7 +79,7 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
                 print(done)
                 return 0
             return _start(request, spec, config, prepared, warm_worker)
-        state = _with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
+        state = with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
         config = _with_budget(request, state)
         if trained_enough(config, state) and not rating_goes_on(config, state):
             print(f"{summary(config, state)}\n\n{_budget_had(config)}")
@@ -79,12 +87,6 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
     if config != request.config:
         spec = RunSpec.of(spec.store, config)
     return _start(request, spec, config, prepared, warm_worker)
-
-
-def _with_retries(state: LeagueState) -> LeagueState:
-    """Return the state as the manager will find it: when a person runs the league, failed turns are tried again."""
-    kept = [job for job in state.jobs if (job.kind, job.state) != (TrainingTurn.kind, "failed")]
-    return replace(state, jobs=kept)
 
 
 def _start(
