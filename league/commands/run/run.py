@@ -43,7 +43,7 @@ def run(args: list[str]) -> int:
 
         print(without_passwords(help.page("run", WHAT, RunOptions, request.config)))
         return 0
-    if request.options.live and (request.options.detach or config.stages):
+    if request.options.live and (request.options.detach or request.config.stages):
         which = "--detach" if request.options.detach else "a curriculum, which is a league for each stage"
         raise ConfigError(
             (), f"--live shows a league that runs at this terminal, not {which}: use `league watch --live`"
