@@ -37,6 +37,7 @@ WIDTH = 120
 ROOMS = {
     "run": "Running a league",
     "analyse": "Ratings, tables and checks",
+    "design": "Robots of your own",
     "watch": "Watching",
     "play": "Matches of your own",
     "store": "Stores, archives and policies",
