@@ -38,6 +38,7 @@ ROOMS = {
     "run": "Running a league",
     "several": "Several leagues",
     "analyse": "Ratings, tables and checks",
+    "design": "Robots of your own",
     "watch": "Watching",
     "play": "Matches of your own",
     "store": "Stores, archives and policies",

@@ -30,6 +30,20 @@ def mjcf(actuators: str = "", free: str = "<freejoint/>", extra: str = "", knees
 </worldbody><actuator>{motors}</actuator>{extra}</mujoco>"""
 
 
+def cart() -> str:
+    """Return a robot on two wheels, one of whose axles points backwards, and two sliding balls."""
+    ball = '<geom type="sphere" size=".02" pos="{x} 0 -.05" friction=".05 .005 .0001" mass=".1"/>'
+    wheel = (
+        '<body pos="0 {y} 0"><joint name="{name}" axis="0 {axis} 0"/><geom type="sphere" size=".07" mass=".2"/></body>'
+    )
+    parts = [ball.format(x=x) for x in (0.17, -0.17)]
+    parts += [wheel.format(name="left", y=0.16, axis=1), wheel.format(name="right", y=-0.16, axis=-1)]
+    motors = "".join(f'<velocity joint="{name}" kv=".2" ctrlrange="-40 40"/>' for name in ("left", "right"))
+    return f"""<mujoco><worldbody><body name="cart" pos="0 0 .1"><freejoint/>
+<geom type="box" size=".2 .12 .05" mass="3"/>{"".join(parts)}</body></worldbody>
+<actuator>{motors}</actuator></mujoco>"""
+
+
 def urdf() -> str:
     """Return the same legs and base, whose drawing is a mesh that does not exist."""
     links = "".join(_LINK.format(leg=leg, x=x, y=y) for leg, (x, y) in LEGS.items())

@@ -19,7 +19,7 @@ from arenas.robots.files.loading import file_robot, robot_of, source_of
 from arenas.robots.kinds import kind_of
 from arenas.robots.kinematics import HeightReader
 from arenas.scene.scene import build
-from tests.arenas.robots.bot import LEGS, mjcf, urdf
+from tests.arenas.robots.bot import LEGS, cart, mjcf, urdf
 
 POSITION = '<position joint="{joint}" kp="30" kv="2"/>'
 MOTOR = '<motor joint="{joint}" gear="4" ctrlrange="-3 3"/>'
@@ -208,6 +208,24 @@ def test_an_arena_takes_a_model_where_a_kind_is_named(write, name):
     sensed = np.asarray(state.observations["blue/0"][:own])
     np.testing.assert_allclose(sensed[6:9], [0, 0, -1], atol=1e-6)  # the down direction of a robot that stands
     np.testing.assert_allclose(sensed[9:], 0, atol=1e-6)  # joints at home and at rest, no action yet
+
+
+def test_a_robot_on_wheels_is_driven_by_the_scripts_of_the_games(write):
+    path = str(write(cart(), "cart.xml"))
+    drive = file_robot(path).drive
+    assert drive is not None
+    ahead, left = (np.asarray(drive(jnp.array(at), False)) * [1, -1] for at in ([2.0, 0.0], [0.0, 2.0]))
+    assert ahead[0] == ahead[1] > 0  # the right axle points backwards
+    assert left[1] > 0 > left[0]
+    np.testing.assert_allclose(drive(jnp.zeros(2), True), 0)
+    duel = replace(arenas.settings("sumo-1v1"), blue=(path,)).build(engine="c")
+    match = replace(arenas.settings("soccer-1v1"), blue=(path,)).build(engine="c")
+    assert "pusher" in duel.playable_scripts(duel.teams[0])
+    assert {"striker", "keeper", "chaser"} <= set(match.playable_scripts(match.teams[0]))
+    strike, key = jax.jit(match.scripts()["striker"]["cart"]), jax.random.key(0)
+    state = jax.jit(match.reset)(key)
+    assert np.abs(strike(state.observations["blue/0"], key)).max() > 0.1
+    assert file_robot(str(write(mjcf(POSITION)))).drive is None
 
 
 def test_heights_are_those_of_mujocos_own_geometry(write):
