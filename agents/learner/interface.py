@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 State = Mapping[str, Any]
 """Arrays by name, of numpy or torch."""
+Policy = State | bytes | Any
+"""The state dict of an Actor, the content of an ONNX or TorchScript file, or a TorchScript module."""
 
 
 class Learner(Protocol):
@@ -26,7 +28,7 @@ class Learner(Protocol):
     was not.
     """
 
-    def act(self) -> Sequence[State | Actor]:
+    def act(self) -> Sequence[Policy | Actor]:
         """Return how each agent acts in the next rollout: a state dict, or a function that is called on the host.
 
         A state dict is that of an `agents.policy.networks.Actor`, and is compiled into the rollout. A function gets
@@ -50,10 +52,10 @@ class Learner(Protocol):
         """Continue from what `save` gave, there as arrays of numpy."""
         ...
 
-    def export(self) -> Sequence[State | bytes | Any]:
+    def export(self) -> Sequence[Policy]:
         """Return the policy of each agent that a snapshot keeps, in the form in which it plays matches.
 
-        That is the state dict of an `Actor`, else the content of an ONNX or TorchScript file, or a TorchScript module
-        (docs/policies.md says what their inputs and outputs are). Equal policies have to give equal bytes.
+        docs/policies.md says what the inputs and outputs of programs are. Equal policies have to give equal bytes, or a
+        deterministic league is none.
         """
         ...

@@ -22,6 +22,7 @@ class Reinforce:
             ]
 
     def learn(self, batch):
+        """Take one step up the gradient; return the mean discounted reward that followed a decision."""
         returns = self._returns(batch)
         counts = ~batch.void
         spread = returns[counts].std() + 1e-6
@@ -45,11 +46,14 @@ class Reinforce:
         return returns
 
     def save(self):
+        """Return everything to continue from: plain gradient ascent remembers nothing but the weights."""
         return {f"{i}/{name}": x for i, actor in enumerate(self.actors) for name, x in actor.state_dict().items()}
 
     def load(self, state):
+        """Continue from what `save` gave."""
         for i, actor in enumerate(self.actors):
             actor.load_state_dict({name: torch.tensor(state[f"{i}/{name}"]) for name in actor.state_dict()})
 
     def export(self):
+        """Return what plays: in matches, and since there is no `act`, in training too."""
         return [actor.state_dict() for actor in self.actors]

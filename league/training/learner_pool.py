@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from zlib import crc32
 
+import numpy as np
+
 from agents.bridge import to_jax
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.learner.happo import HappoLearner
@@ -23,6 +25,8 @@ from matchmaking.roles import Role
 from storage.blobs import arrays
 from storage.records import ArenaKey, Checkpoint, Meeting, Player, Snapshot
 from storage.store import Store
+
+ITERATION = "iteration"  # in the checkpoint of a learner of another class
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,8 @@ class LearnerPool:
         at, annealing = self.counters[name], self._annealing[name]
         moved = population.written(self.moved(name))
         state = self.learners[name].save() | moved | (annealing.state() if annealing else {})
+        if isinstance(self.learners[name], OwnLearner):  # it may have learnt nothing, and each checkpoint has a digest
+            state |= {ITERATION: np.array(at.iteration)}
         digest = store.blobs.put(arrays.to_bytes(state))
         return Checkpoint(self.league, name, digest, at.steps, at.iteration, at.seconds, key)
 
@@ -140,12 +146,18 @@ class LearnerPool:
             return policies if isinstance(policies, bytes) else freeze(policies)
         return freeze([{key: tensor.cpu().numpy() for key, tensor in policy.items()} for policy in learner.export()])
 
-    def acting(self, name: str) -> list[Policy]:
-        """Return the policies by which a player's agents act in the next rollout."""
+    def ways(self, name: str) -> list[list[Policy]]:
+        """Return all forms of policies by which a player's agents may act, now or as a snapshot."""
+        own = isinstance(self.learners[name], OwnLearner)
+        return [self.acting(name, learns) for learns in ((True, False) if own else (True,))]
+
+    def acting(self, name: str, learns: bool = True) -> list[Policy]:
+        """Return the policies by which a player's agents act in the next rollout, in which it learns or only plays."""
         learner = self.learners[name]
         if isinstance(learner, HappoLearner):
             return [*to_jax(learner.act())]
-        return [each if isinstance(each, HostPolicy) else policy_params(each) for each in learner.act()]
+        found = learner.act() if learns else learner.play()
+        return [each if isinstance(each, HostPolicy) else policy_params(each) for each in found]
 
     # Going on from others --------------------------------------------------------------------------------------------
 

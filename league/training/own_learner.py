@@ -19,6 +19,7 @@ from agents.batch import Batch, clean
 from agents.devices.distributed import SINGLE_PROCESS
 from agents.learner.interface import Learner
 from agents.policy.host_policy import Actor, HostPolicy
+from agents.settings import HAPPO
 from arenas import python_file
 from arenas.arena_settings import Table
 from arenas.contract.error_location import describe_error
@@ -34,6 +35,7 @@ from storage.errors import StorageError
 
 VERBS = ("learn", "save", "load", "export")  # without `act`, a learner acts by what it exports
 Arrays = Mapping[str, np.ndarray]
+PREFIX = "own."  # of its arrays in a checkpoint, where the league keeps others
 
 
 class LearnerSource(NamedTuple):
@@ -76,8 +78,7 @@ class OwnLearner:
             found: list[Any] = list(acts())
         self._check_count(found, "act")
         if not any(isinstance(each, Mapping) or _is_function(each) for each in found):
-            self._programs = stored.host_policies(self._stored(found).to_bytes(), self.source.where, self._note)
-            return [*self._programs]
+            return self._loaded(self._stored(found).to_bytes())
         self._functions = [each if _is_function(each) else None for each in found]
         return [self._seat(i) if _is_function(each) else self._actor(each, i, "act") for i, each in enumerate(found)]
 
@@ -101,17 +102,20 @@ class OwnLearner:
     def save(self) -> dict[str, np.ndarray]:
         """Return the state as arrays; copies, which do not change as it learns on."""
         with self._blamed("save"):
-            found = {str(name): _array(value) for name, value in self._learner.save().items()}
+            found = {f"{PREFIX}{name}": _array(value) for name, value in self._learner.save().items()}
             try:
                 arrays.to_bytes(found)
             except StorageError as error:
-                raise TypeError(str(error)) from None
+                raise TypeError(str(error).replace(PREFIX, "")) from None
         return found
 
     def load(self, state: Arrays) -> None:
-        """Continue from a state."""
+        """Continue from a state. Raises PlayerDiverged also for that of another kind of learner."""
+        own = {name.removeprefix(PREFIX): array for name, array in state.items() if name.startswith(PREFIX)}
+        if not own and "rng" in state:
+            raise self._failed(f": the checkpoint is that of a learner of class {HAPPO}")
         with self._blamed("load"):
-            self._learner.load(dict(state))
+            self._learner.load(own)
 
     def export(self) -> list[Arrays] | bytes:
         """Return what a snapshot keeps: each agent's actor as arrays, or the bytes of a program."""
@@ -124,6 +128,11 @@ class OwnLearner:
         if kinds == {True}:
             return [self._actor(each, i, "export") for i, each in enumerate(found)]
         return self._stored(found).to_bytes()
+
+    def play(self) -> list[Arrays | HostPolicy]:
+        """Return how each agent acts where the player does not learn: by its policy, without exploring."""
+        found = self.export()
+        return self._loaded(found) if isinstance(found, bytes) else [*found]
 
     def reseed(self, seed: int) -> None:
         """Give the learner other random numbers, if its class has a method `reseed`."""
@@ -189,6 +198,10 @@ class OwnLearner:
             return stored.of_bytes(files, self.source.team.roster)
         except ProgramError as error:
             raise self._failed(f".export: {error}") from None
+
+    def _loaded(self, program: bytes) -> list[Arrays | HostPolicy]:
+        self._programs = stored.host_policies(program, self.source.where, self._note)
+        return [*self._programs]
 
     def _check_count(self, found: Sequence[Any], verb: str) -> None:
         team = self.source.team

@@ -244,14 +244,15 @@ class Trainer:
         return CurvePoint(self.pool.players[name].league, name, now.iteration, now.steps, now.seconds, values)
 
     def _crews(self, matchups: Matchups, groups: int | None = None) -> dict[str, PolicyStack]:
-        now = {name: self.pool.acting(name) for name in matchups.turn.present if name}
+        turn = matchups.turn
+        now = {name: self.pool.acting(name, name in turn.learners) for name in turn.present if name}
         return matchups.stacks(now, self._shapes, groups)
 
     def _architectures(self) -> dict[str, list]:
         """Return, by agent, the actors of all players of its team, so that the compiled shapes fit each of them."""
-        actors = {name: self.pool.acting(name) for name in self.pool.learners}
+        ways = {name: self.pool.ways(name) for name in self.pool.learners}
         return {
-            agent.name: [actors[p.name][i] for p in self.pool.players.values() if p.team == t]
+            agent.name: [way[i] for p in self.pool.players.values() if p.team == t for way in ways[p.name]]
             for t, team in enumerate(self.arena.teams)
             for i, agent in enumerate(team.agents)
         }
