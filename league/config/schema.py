@@ -86,7 +86,8 @@ def notes(cls: type) -> tuple[str, dict[str, str]]:
 
 def settings(cls: Any) -> Iterator[Field]:
     """Yield the fields of a dataclass that are settings; fields marked `apart` are read and written elsewhere."""
-    return (each for each in fields(cls) if each.init and not each.metadata.get("apart"))
+    found = [each for each in fields(cls) if each.init and not each.metadata.get("apart")]
+    return iter(sorted(found, key=lambda each: each.kw_only is True))  # an inherited one would be first
 
 
 def key_of(field: Field) -> str:

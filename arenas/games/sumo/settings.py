@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Unpack
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.sumo.observation_layout import OWN, PER_OTHER, size
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ in one of a thousand steps (docs/speed.md).
 
 
 @dataclass(frozen=True)
-class SumoReward:
+class SumoReward(RewardTerms):
     """Rewards, which shape learning and never decide a match."""
 
     scale: float = field(default=1.0, metadata={"above": 0.0})
@@ -142,7 +143,7 @@ class SumoRules:
 
 
 @dataclass(frozen=True)
-class SumoSettings:
+class SumoSettings(WithTerms):
     """A sumo arena: robots, rules, observations and rewards."""
 
     name: str = "sumo-2v2"
@@ -211,7 +212,7 @@ class SumoSettings:
         """Build the arena."""
         from arenas.games.sumo.match import Sumo
 
-        return Sumo(self, **options)
+        return with_terms(Sumo(self, **options), self)
 
 
 def check_roster(field: str, kinds: Sequence[str], players: Collection[str] = KINDS) -> None:
