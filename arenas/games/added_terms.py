@@ -164,4 +164,4 @@ def _described(term: TermSpec, error: BaseException) -> str:
 
 
 def _fault(term: TermSpec, setting: str, what: str) -> ArenaError:
-    return ArenaError(f"{setting}: {term.name} = {term.where}: {what}")
+    return ArenaError(f"arena.{setting}: {term.name} = {term.where}: {what}")

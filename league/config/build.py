@@ -66,8 +66,7 @@ def _table(cls: type, table: Mapping[str, Any], base: Any, prefix: Key, everywhe
             raise _unknown(key, known, everywhere)
         default = absent(known[name], base)
         if isinstance(default, Table) and isinstance(value, Mapping):
-            both = {**default, **value}
-            values[name] = _free_table({key: each for key, each in both.items() if each != UNSET}, key)
+            values[name] = _free_table(_laid_over(default, value), key)
         elif is_table(default) and isinstance(value, Mapping):
             values[name] = _table(type(default), value, default, key, everywhere)
         elif is_table(default) and required(hints(cls)[known[name].name])[0] is Any:
@@ -129,6 +128,21 @@ def _value(value: Any, hint: Any, key: Key, everywhere: list[Key]) -> Any:
             raise refuse(key, value, "must be the name of a file or folder; . is this folder")
         return Path(value)
     raise refuse(key, value, f"expected {expected(hint)}")
+
+
+def _laid_over(before: Mapping[str, Any], value: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of any keys with other values laid over it; `none` takes a key away. - and _ are alike in keys."""
+    found: dict[str, Any] = {}
+    for name, each in (*before.items(), *value.items()):
+        known = next((other for other in found if other.replace("-", "_") == name.replace("-", "_")), name)
+        if each == UNSET:
+            found.pop(known, None)
+        elif isinstance(each, Mapping):
+            inner = found.get(known)
+            found[known] = _laid_over(inner if isinstance(inner, Mapping) else {}, each)
+        else:
+            found[known] = each
+    return found
 
 
 def _free_table(value: Mapping[str, Any], key: Key) -> Table:

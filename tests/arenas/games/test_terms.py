@@ -1,6 +1,8 @@
 """Terms of functions in files: added to rewards and observations, or in the place of those of their names."""
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -102,6 +104,18 @@ def test_the_check_examines_an_arena_with_terms(file):
     assert [each for each in check_arena(good) if not each.ok] == []
 
 
+def test_the_page_shows_the_example_and_a_robot_on_its_side_earns_less():
+    docs = Path(__file__).parents[3] / "docs"
+    example = docs / "examples" / "terms.py"
+    assert f"```python\n{example.read_text('utf-8')}```" in (docs / "rewards.md").read_text("utf-8")
+    arena, upright = arenas.load("sumo-1v1", engine="c", threads=1), arenas.python_file(example).upright
+    standing, _, _ = arena.place(jax.random.key(0))
+    first = arena.scene.agents["blue/0"].qpos + 3
+    lying = standing.at[first : first + 4].set(jnp.array([0.5**0.5, 0.5**0.5, 0.0, 0.0]))  # rolled by 90 degrees
+    earned = [upright(arena, None, SimpleNamespace(qpos=qpos), None) for qpos in (standing, lying)]
+    np.testing.assert_allclose(earned, [[0.02, 0.02], [0.0, 0.02]], atol=1e-6)
+
+
 @pytest.mark.parametrize(("rewards", "observations", "line"), [
     ({"x": "gone.py:f"}, {}, r"reward\.terms: x = gone\.py:f: there is no such file"),
     ({"x": "{}:none"}, {}, "the file has no function none"),
@@ -135,8 +149,11 @@ def test_terms_are_written_and_read_as_json_or_toml_and_survive_a_file():
         config = experiment.change(base, {key: text})
         assert config.arena.reward.terms == {"stay-up": {"function": "a.py:f", "weight": 2}}
         assert experiment.loads(experiment.dumps(config)) == config
-    more = experiment.change(config, {("arena", "reward", "terms", "other"): "b.py:g", (*key, "stay-up"): "none"})
-    assert more.arena.reward.terms == {"other": "b.py:g"}
+    flags = {(*key, "other"): "b.py:g", (*key, "stay_up", "weight"): "3"}  # a flag has _ for -
+    for more in (experiment.change(config, flags), experiment.loads(experiment.dumps(config), given=flags)):
+        assert more.arena.reward.terms == {"stay-up": {"function": "a.py:f", "weight": 3}, "other": "b.py:g"}
+        less = experiment.loads(experiment.dumps(more), given={(*key, "stay_up"): "none"})
+        assert less.arena.reward.terms == {"other": "b.py:g"}
 
 
 def test_league_check_takes_terms(file, capsys):
