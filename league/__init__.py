@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from agents.learner.interface import Learner as Learner
     from league.config.experiment import Config
     from league.matches.own_policy import Policy as Policy
     from league.runs.open_league import OpenLeague
@@ -93,9 +94,13 @@ def opponent(named: str, league: str | None = None) -> "FrozenOpponent | Program
 
 
 def __getattr__(name: str) -> Any:
-    """Import `Policy` at its first use: it loads jax."""
-    if name != "Policy":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from league.matches.own_policy import Policy
+    """Import `Policy` and `Learner` at their first use: they load jax."""
+    if name == "Policy":
+        from league.matches.own_policy import Policy
 
-    return Policy
+        return Policy
+    if name == "Learner":
+        from agents.learner.interface import Learner
+
+        return Learner
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

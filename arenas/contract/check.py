@@ -47,7 +47,7 @@ def examine(
 ) -> list[CheckResult]:
     """Find an arena by name and run every check of the contract, including that the arena can be found and built.
 
-    `change` turns its default settings into those to examine.
+    `change` turns its default settings into those to examine, such as those with terms of functions in files.
 
     Raises ArenaError or EngineError for names that lead nowhere. An error in the arena's own code is a failed check.
     """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, Unpack
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.sumo.observation_layout import OWN, PER_OTHER, size
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 from arenas.robots.kinds import KINDS, Kind, check_roster, is_file, kind_of, roster_name
 from arenas.scene.randomisation import Randomisation
 
@@ -43,7 +44,7 @@ in one of a thousand steps (docs/speed.md).
 
 
 @dataclass(frozen=True)
-class SumoReward:
+class SumoReward(RewardTerms):
     """Rewards, which shape learning and never decide a match."""
 
     scale: float = field(default=1.0, metadata={"above": 0.0})
@@ -126,7 +127,7 @@ class SumoRules:
 
 
 @dataclass(frozen=True)
-class SumoSettings:
+class SumoSettings(WithTerms):
     """A sumo arena: robots, rules, observations and rewards."""
 
     name: str = "sumo-2v2"
@@ -201,7 +202,7 @@ class SumoSettings:
         """Build the arena."""
         from arenas.games.sumo.match import Sumo
 
-        return Sumo(self, **options)
+        return with_terms(Sumo(self, **options), self)
 
 
 def pitch(size: int) -> float:

@@ -23,6 +23,7 @@ from arenas.description import Legend, Part
 from arenas.games.sumo import paper_observation, scripts
 from arenas.games.sumo.clearance import clearance
 from arenas.games.sumo.stages import WalkSettings
+from arenas.games.terms import weights_of
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
 from arenas.robots.kinematics import Heights
@@ -94,7 +95,7 @@ class Walk(Arena):
             solver=solver or Solver(contacts=18, rows=80), marker_kinds={"goal": "circle"}, **options,
         )  # fmt: skip
         self.rules, self.randomisation = rules, settings.randomisation
-        self.weights = asdict(settings.reward)
+        self.weights = weights_of(settings.reward)
         self.speed = self.weights.pop("speed")
         self.randomisation.check(self.scene)
         self._at = self.scene.agents[WALKER]

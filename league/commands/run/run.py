@@ -26,6 +26,7 @@ from league.scheduling import curriculum
 from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.turn_scheduler import trained_enough
 from league.state.league_state import LeagueState
+from league.state.learner_changes import learner_changes
 from league.state.liveness import leader, place
 from league.system import devices, exit_codes, provenance
 from storage.database.urls import without_passwords
@@ -59,6 +60,7 @@ def execute(request: RunRequest) -> int:
     """
     config, where = request.config, request.options.store
     _refuse_if_running(where, config)
+    _report_changes(where, config)
     with ExitStack() as until_the_end:
         spec = RunSpec.of(where, config)
         preparing = preparation(spec, config, debug="--debug" in sys.argv, keep=not request.options.detach)
@@ -124,6 +126,19 @@ def _refuse_if_running(where: str, config: Config) -> None:
             " `league stop` first",
             transient=True,
         )
+
+
+def _report_changes(where: str, config: Config) -> None:
+    """Print one line for each league of this run whose learner's settings differ from those of its last run."""
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            kept = {league.name: league.config for league in store.leagues()}
+    except NotAStore:
+        return
+    for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
+        if changes := learner_changes(kept.get(each.league, ""), configuration.dumps(each)):
+            shown = ", ".join(changes)
+            print(f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` keeps record of it.")
 
 
 def _with_budget(request: RunRequest, state: LeagueState) -> Config:
