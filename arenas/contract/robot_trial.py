@@ -179,7 +179,8 @@ class RobotTrial:
         command = jnp.asarray(self._data(scene).ctrl, jnp.float32)
         ends = []
         for name in ("c", engine):
-            stepper = make_engine(name, scene.model, worlds=1, buffers=buffers)
+            model = build({"blue": [self.robot]}, timestep=STEPS[0]).model  # its own: engines change flags of models
+            stepper = make_engine(name, model, worlds=1, buffers=buffers)
             physics = stepper.make(jnp.asarray(scene.rest, jnp.float32), jnp.zeros(scene.model.nv))
             step = jax.jit(lambda physics, stepper=stepper: stepper.step(physics, command, CONTROL, None, None))
             for _ in range(steps):
