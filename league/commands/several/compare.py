@@ -18,7 +18,7 @@ from league.config.sections import check_name
 from league.queries.ratings.rating_rows import Row, side_text
 from league.runs.comparison.cells import Cell, Member, cells, members
 from league.runs.comparison.comparison_report import Comparison, page, text
-from league.runs.comparison.curve_bands import bands, metric_of
+from league.runs.comparison.curve_bands import OF_SNAPSHOTS, bands, metric_of, unrated
 from storage.blobs.files import new_file
 from storage.database.urls import display_location
 from storage.store import Store
@@ -86,6 +86,8 @@ def _compared(options: CompareOptions, found: Sequence[Member], store: Store) ->
     metric = options.metric or metric_of(found)
     curves = bands(groups, metric)
     rows, notes = _ladder(options, found, store)
+    if metric in OF_SNAPSHOTS and (short := unrated(groups, curves)):
+        notes = [*notes, wrapped(short)]
     merit = "success" if any(row["success"] is not None for row in rows) else "elo"
     return Comparison(groups, metric, curves, rows, _ranks(groups, rows, merit), merit, notes)
 

@@ -37,6 +37,19 @@ def metric_of(found: Sequence[Member]) -> str:
     return "success" if one_team else "vs_initial"
 
 
+def unrated(found: Sequence[Cell], curves: Sequence[Band]) -> str:
+    """Return a line if ratings of snapshots reach less than half of the training of all leagues; else an empty text."""
+    newest = [m.opened.store.newest_checkpoints(m.opened.league).values() for cell in found for m in cell.members]
+    trained = min((max((each.step for each in own), default=0) for own in newest), default=0)
+    reached = min((int(band.steps[-1]) for band in curves), default=0)
+    if not curves or 2 * reached >= trained:
+        return ""
+    return (
+        f"Rated snapshots reach {reached:,} of {trained:,} steps: `league rate --store STORE --league NAME` rates more,"
+        " a longer budget.rating_time does so in the runs, and --metric reward needs no ratings."
+    )
+
+
 def bands(found: Sequence[Cell], metric: str) -> list[Band]:
     """Return the band of each cell that has the metric.
 

@@ -2,11 +2,15 @@
 
 import json
 import shutil
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from league.runs.comparison.cells import cells, members
+from league.runs.comparison.curve_bands import Band, unrated
 from league.runs.sweeps import sweep_file
 from league.runs.sweeps.sweep_work import SweepWork
 from storage.store import Store
@@ -106,6 +110,14 @@ def test_cells_are_compared_on_one_ladder_whose_matches_are_kept(inside, capsys)
     again = json.loads(said(capsys, *args, "--no-play")[1])
     assert again["ladder"] == rows
     assert states(capsys) == ["finished", "finished", "waits"]  # nothing of the compared leagues has changed
+
+
+def test_a_curve_that_ends_for_want_of_ratings_says_so(inside):
+    with ExitStack() as until, Store.open("league-data") as store:
+        groups = cells(members(NAMES[:2], None, store, until))
+        short = Band("", 1, *(np.array([1024.0]),) * 4)
+        assert unrated(groups, [short]).startswith("Rated snapshots reach 1,024 of 4,096 steps")
+        assert unrated(groups, [Band("", 1, *(np.array([2048.0]),) * 4)]) == unrated(groups, []) == ""
 
 
 def test_a_league_of_another_store_can_be_compared(inside, capsys):
