@@ -37,9 +37,8 @@ HEAD = "<!-- written from the code: python -m scripts.reference_pages -->"
 WIDTH = 120
 ROOMS = {
     "run": "Running a league",
-    "several": "Several leagues",
     "analyse": "Ratings, tables and checks",
-    "design": "Robots of your own",
+    "design": "Preparing",
     "watch": "Watching",
     "play": "Matches of your own",
     "store": "Stores, archives and policies",

@@ -40,7 +40,7 @@ class Finding(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """How far a joint went under ACTION in MOVES seconds, in rad or m."""
+    """Motion of a joint under ACTION in MOVES seconds, in rad or m."""
 
     joint: str
     by: float

@@ -17,14 +17,14 @@ COMMANDS = {
     "stop": ("league.commands.run.stop", "stop a running league, on whatever host it runs"),
     "status": ("league.commands.run.status", "what runs, who learns, which jobs wait or were set aside"),
     "doctor": ("league.commands.run.doctor", "examine this machine: what is missing, and the command that brings it"),
-    "init": ("league.commands.run.init", "write a commented league.toml"),
-    "presets": ("league.commands.run.preset_list", "the presets, a line each; of one that is named, all settings"),
-    "sweep": ("league.commands.several.sweep", "a grid of settings and seeds, each run a league of one store"),
+    "init": ("league.commands.design.init", "write a commented league.toml"),
+    "presets": ("league.commands.design.preset_list", "the presets, a line each; of one that is named, all settings"),
+    "sweep": ("league.commands.run.sweep", "a grid of settings and seeds, each run a league of one store"),
     "compare": (
-        "league.commands.several.compare",
+        "league.commands.analyse.compare",
         "leagues side by side: curves with bands, and one ladder by cross-play",
     ),
-    "list": ("league.commands.several.leagues", "the leagues of a store, and whether they run"),
+    "list": ("league.commands.store.leagues", "the leagues of a store, and whether they run"),
     "ratings": ("league.commands.analyse.ratings", "the ratings table"),
     "rate": ("league.commands.analyse.rate", "ratings of a match log of your own, from a CSV file"),
     "matches": ("league.commands.analyse.tables", "the match log"),
@@ -58,12 +58,12 @@ COMMANDS = {
     "unpack": ("league.commands.store.archives", "the leagues in such a file, added to a store"),
     "export": ("league.commands.store.policies", "a frozen policy as a safetensors file, with its card"),
     "import": ("league.commands.store.policies", "such a file as a fixed player of a league"),
-    "arenas": ("league.commands.analyse.arenas", "the arenas; of one that is named, all about it"),
+    "arenas": ("league.commands.design.arenas", "the arenas; of one that is named, all about it"),
     "robot": (
         "league.commands.design.robot",
         "read a robot from an MJCF or URDF file, try it, and write its settings",
     ),
-    "check": ("league.commands.analyse.check", "examine an arena, ours or your own: league check file.py:name"),
+    "check": ("league.commands.design.check", "examine an arena, ours or your own: league check file.py:name"),
 }
 
 LINE = 3000

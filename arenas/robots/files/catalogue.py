@@ -1,4 +1,4 @@
-"""Where robots from files are found: files of a user, and models in wheels of others, with settings of ours. Light.
+"""Places of robots from files: files of a user, and models in wheels of others with settings of ours. Light.
 
 Each file in `shipped/` is a robot file whose model lies in a wheel; no model is part of this package.
 """

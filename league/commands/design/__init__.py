@@ -1,1 +1,1 @@
-"""Commands for those who bring a robot of their own."""
+"""Commands that prepare a league: arenas, robots, presets and configuration files."""

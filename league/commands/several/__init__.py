@@ -1,1 +1,0 @@
-"""Commands about several leagues: list, sweep, compare."""
