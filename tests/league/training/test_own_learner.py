@@ -9,6 +9,9 @@ import pytest
 
 import arenas
 from arenas.arena_settings import Table
+from league.config import experiment
+from league.config.build import build
+from league.config.experiment import Config
 from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
 from league.matches.evaluator import MatchEvaluator
@@ -214,3 +217,27 @@ def test_what_no_league_can_use_is_refused_before_it_starts_in_one_line(tmp_path
         validate(of(where, **own))
     assert "\n" not in str(error.value)
     assert error.value.key == ("learner", "class")
+
+
+@pytest.mark.parametrize(("flags", "line"), [
+    ({"class": "mine"}, r"--learner\.class = \"mine\": must be happo, or a class in a file of yours"),
+    ({"class": "my.py:Mine", "lr": "0.1"}, r"--learner\.lr = 0\.1: is a setting of happo, .* --learner\.settings\.lr"),
+    ({"settings": "{lr = 1}"}, r"--learner\.settings = .*: are those of a class of yours; name it as learner\.class"),
+])  # fmt: skip
+def test_flags_that_do_not_fit_the_class_are_refused(flags, line):
+    with pytest.raises(ConfigError, match=line):
+        experiment.change(experiment.default(GAME.name), {("learner", name): text for name, text in flags.items()})
+
+
+@pytest.mark.parametrize(("changes", "line"), [
+    ({"training": {"devices": 2, "worlds": 16}}, r"training\.devices = 2: .* learns on one device; use 1"),
+    ({"players": [{"team": "blue", "lr": 0.1}, {"team": "red"}]}, r"players\[0\]\.lr = 0\.1: is a setting of happo"),
+    ({"after": ["leatherbacks-sumo"]}, "starts afresh, and takes over no networks"),
+    ({"players": [{"team": "blue", "role": "pupil"}, {"team": "red"}],
+      "roles": [{"name": "pupil", "timeout": 1000, "reset": "main"}]}, "only happo takes over"),
+    ({"players": [{"team": "blue", "class": "happo"}, {"team": "red"}], "training": {"schedule": {"kind": "ladder"}}},
+     "are of another class"),
+])  # fmt: skip
+def test_what_such_a_learner_cannot_do_is_refused_before_it_starts(changes, line):
+    with pytest.raises(ConfigError, match=line):
+        validate(build(Config, changes, of(f"{EXAMPLE}:Reinforce")))
