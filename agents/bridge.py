@@ -1,7 +1,7 @@
 """The only place where JAX and torch meet: arrays cross by DLPack, without a copy and without the host.
 
 Two traps are silent. JAX frees a buffer, on its own stream, when the torch tensor made of it dies, while torch kernels
-that read it may still be queued: results of `to_torch` must live until torch has finished, which `Learner.update`
+that read it may still be queued: results of `to_torch` must live until torch has finished, which `HappoLearner.learn`
 ensures by reading its losses back. Torch changes parameters in place, which JAX may not notice: `to_jax` copies
 first.
 """

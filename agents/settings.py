@@ -1,7 +1,10 @@
 """Settings of the learner. Imports nothing heavy, because configurations are also read where torch is not installed."""
 
+import re
 from dataclasses import dataclass, field
 from typing import Literal
+
+from arenas.arena_settings import Table
 
 Activation = Literal["tanh", "relu", "elu"]
 ACTIVATIONS: tuple[Activation, ...] = ("tanh", "relu", "elu")
@@ -16,8 +19,16 @@ SQUASH_EDGE = 1 - 1e-6
 Method = Literal["happo", "mappo", "ippo", "hatrpo"]
 Precision = Literal["float32", "tf32", "bf16"]
 CriticInput = Literal["own", "all", "privileged", "same"]
+HAPPO = "happo"
+"""The learner that comes with the league, among the values of `learner.class`."""
 MAX_LAYERS = 32
 """Maximum number of hidden layers. Deeper networks without residual connections do not learn."""
+
+
+def check_class(value: str | None) -> None:
+    """Raise ValueError unless a text names a learner: happo, or file.py:Class."""
+    if value not in (None, HAPPO) and not re.search(r"\.py:\w+$", value):
+        raise ValueError(f"must be {HAPPO}, or a class in a file of yours: my/learner.py:Mine")
 
 
 @dataclass(frozen=True)
@@ -133,9 +144,16 @@ class HappoConfig:
     precision: Precision = "float32"
     """Precision of matrix products while learning: float32; tf32 (10 bits instead of 23; float32 on a CPU); bf16 (7
     bits, in losses only). Weights, Adam's moments, densities, advantages and sums are always float32."""
+    class_: str = field(default=HAPPO, metadata={"key": "class", "valid": check_class})
+    """The learner: happo, or a class of yours, file.py:Class, which reads no other key of this section but `settings`
+    and `critic_input` (docs/learners.md)."""
+    settings: Table = field(default_factory=Table)
+    """Settings of a class of yours, with the keys that it takes: learner.settings.NAME."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for settings that contradict each other."""
+        if self.settings and self.class_ == HAPPO:
+            raise ValueError("settings: are those of a class of yours; name it as learner.class")
         if self.method == "ippo" and self.critic_input != "own":
             raise ValueError("critic_input: ippo's critics see what their own agents see; use own, or another method")
         if self.architecture.recurrent and self.critic_input == "same":

@@ -8,6 +8,7 @@ your own (docs/environments.md).
 """
 
 import difflib
+import hashlib
 import importlib
 import importlib.util
 import sys
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 MODULES = (
     "arenas.games.sumo",
+    "arenas.games.walk",
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",
@@ -146,13 +148,14 @@ def python_file(path: Path) -> ModuleType:
     """Import the module in a file, once per process.
 
     The module is registered in `sys.modules`, where dataclasses and the settings look for its types and for the notes
-    under its fields. Its key is the whole path, so that it hides no module of the same name.
+    under its fields. Its key is made of the whole path, so that it hides no module of the same name, and is an
+    identifier, without which TorchScript compiles no class of the file.
     """
     from arenas.errors import ArenaError
 
     if not path.is_file():
         raise ArenaError(f"no arena file {path}: give a path such as my/duel.py:duel")
-    name = str(path.resolve())
+    name = f"file_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]}"
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None

@@ -1,10 +1,52 @@
 """Options common to all arenas, and the protocol of their settings. Light: settings are read without jax."""
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 EngineName = Literal["auto", "c", "jax", "warp"]
+
+
+class Table(Mapping[str, Any]):
+    """A setting that is a table of any keys, with plain values: texts, numbers, switches, lists, and tables of those.
+
+    It does not change, and can be hashed. Raises ValueError, one line, for a value of another kind.
+    """
+
+    def __init__(self, values: Mapping[str, Any] = {}):
+        self._values = {str(name): _plain(value, str(name)) for name, value in values.items()}
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the value of a key."""
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the keys in their order."""
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        """Return the number of keys."""
+        return len(self._values)
+
+    def __hash__(self) -> int:
+        """Return the hash of the keys and values, whatever their order."""
+        return hash(frozenset(self._values.items()))
+
+    def __repr__(self) -> str:
+        """Write the table as a dictionary."""
+        return repr(self._values)
+
+
+def _plain(value: Any, name: str) -> Any:
+    """Return a plain value in a form that cannot change."""
+    if isinstance(value, Mapping):
+        return Table(value)
+    if isinstance(value, list | tuple):
+        return tuple(_plain(each, name) for each in value)
+    if not isinstance(value, str | bool | int | float) or (isinstance(value, float) and not math.isfinite(value)):
+        raise ValueError(f"{name}: {value!r:.80} is no text, finite number, switch, list or table")
+    return value
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,9 @@ class Game(ABC):
         self.robots: dict[str, Robot] = {f"{team}/{i}": r for team, rs in robots.items() for i, r in enumerate(rs)}
         self.marker_kinds: Mapping[str, str] = dict(marker_kinds or {})
         self.scene: Scene = build(robots, props, solver=solver, timestep=timing.timestep)
-        self.config_hash = _hash(rules, timing, self.scene.xml)
+        identities = {agent: robot.identity for agent, robot in self.robots.items() if robot.identity}
+        settings = {**rules, "robot files": identities} if identities else rules
+        self.config_hash = _hash(settings, timing, self.scene.xml)
         buffers = (solver or Solver()).with_buffers(options.get("contacts"), options.get("rows"))
         self.engine: Engine = make_engine(
             options.get("engine", "auto"), self.scene.model, derived, worlds=options.get("worlds", 1),

@@ -84,3 +84,5 @@ def check_rosters(robots: "Mapping[str, Sequence[Robot]]") -> None:
         sizes = {r.action_size for r in every if r.kind == robot.kind}
         if len(sizes) > 1:
             raise ArenaError(f"robots of kind {robot.kind} have {sorted(sizes)} actions: give them kinds of their own")
+        if len({r.identity for r in every if r.kind == robot.kind}) > 1:
+            raise ArenaError(f"two robot files are named {robot.kind}: give one of them another name")

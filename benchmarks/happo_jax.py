@@ -1,4 +1,4 @@
-"""HAPPO's update of one team in plain JAX, compiled as one program: the reference for the speed of `Learner.update`.
+"""HAPPO's update of one team in plain JAX, compiled as one program: the reference for `HappoLearner.learn`'s speed.
 
 Only the default learner: no LayerNorm, squashing, shared actors, running observation statistics, changing learning
 rates, or agents that leave the game, and a batch without void decisions. It therefore needs none of the masks in
@@ -16,7 +16,7 @@ import torch
 from jax import Array
 
 from agents.batch import Batch
-from agents.learner.happo import Learner, draw_seed
+from agents.learner.happo import HappoLearner, draw_seed
 from agents.learner.minibatches import minibatch_orders
 from agents.settings import VARIANCE_FLOOR, HappoConfig
 
@@ -53,9 +53,9 @@ class Team(NamedTuple):
     norm: Array  # (3,) of the value normaliser: weighted sums of returns and their squares, and the sum of weights
 
 
-def team_of(learner: Learner) -> Team:
+def team_of(learner: HappoLearner) -> Team:
     """Return a learner's present team. Raises ValueError for settings that this module does not support."""
-    c, state = learner.config, learner.state()
+    c, state = learner.config, learner.save()
     architecture = c.architecture
     kinds = architecture.layer_norm, architecture.squash, architecture.state_std, architecture.recurrent
     if any(kinds) or c.method != "happo":
@@ -95,7 +95,7 @@ def batch_of(batch: Batch) -> Batch:
     return jax.tree.map(lambda tensor: jnp.asarray(tensor.cpu().numpy()), batch)
 
 
-def permutations_of(learner: Learner, size: int) -> Array:
+def permutations_of(learner: HappoLearner, size: int) -> Array:
     """Return the permutations (agents + 1, epochs, B) of the learner's next update: the actors', then the critic's."""
     rng, on_device = torch.Generator(), torch.Generator(learner.device)
     rng.set_state(learner.rng.get_state())

@@ -16,7 +16,7 @@ from jax import Array
 
 from agents.batch import Batch
 from agents.bridge import team_batch, to_jax
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import PolicyStack
 from agents.rollout.rollout import Trajectory, Worlds, make_reset, make_rollout
 from benchmarks.replay import Pair, clocks
@@ -51,7 +51,7 @@ class Ground:
         """The bare engine that replays what was played."""
         return Pair(self.arena, self.worlds, self.args.decisions)
 
-    def learners(self, seed: int = 1, **settings: Any) -> list[Learner]:
+    def learners(self, seed: int = 1, **settings: Any) -> list[HappoLearner]:
         """Make learners of all teams as a league does; `settings` override those of the learner."""
         config = replace(self.config, seed=seed, learner=replace(self.config.learner, **settings))
         return list(Trainer(config, self.arena, players_of(config, self.arena), self.worlds).pool.learners.values())
@@ -64,12 +64,12 @@ class Loop:
     other teams in K groups of worlds.
     """
 
-    def __init__(self, ground: Ground, frozen: list[list[Learner]] | None = None):
+    def __init__(self, ground: Ground, frozen: list[list[HappoLearner]] | None = None):
         self.ground, self.learners = ground, ground.learners()
         self.learning = self.learners[:1] if frozen else self.learners
         self._updates = UpdatePool(self.learning)
         self._updates.start_workers(len(self.learning))  # as in a league after its first seconds
-        self.frozen = [[to_jax(learner.policies()) for learner in teams] for teams in frozen or []]
+        self.frozen = [[to_jax(learner.export()) for learner in teams] for teams in frozen or []]
         self.groups = len(self.frozen) or 1
         self.worlds = ground.worlds // self.groups * self.groups
         self._keys = (jax.random.key(2000 + i) for i in count())
@@ -81,7 +81,7 @@ class Loop:
 
     def _seated(self) -> dict[str, PolicyStack]:
         """Return each agent's present policies for all groups of worlds."""
-        seats = [[to_jax(learner.policies())] * self.groups for learner in self.learning]
+        seats = [[to_jax(learner.export())] * self.groups for learner in self.learning]
         seats += [[teams[t] for teams in self.frozen] for t in range(len(seats), len(self.learners))]
         return seat(self.ground.arena.teams, seats)
 

@@ -49,7 +49,7 @@ import jax
 import numpy as np
 import torch
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Precision
 from arenas.physics.cpu import cores
 from benchmarks import happo_jax
@@ -138,12 +138,12 @@ def busy(ground: Ground) -> dict:
     if learner.device.type != "cuda":
         return {"ratio": None, "why": "torch learns on the CPU, where there are no kernels to wait for"}
     batch = loop.batch(0, loop.trajectory)
-    start = learner.state()
+    start = learner.save()
     wall, kernels = [], []
     for _ in range(ground.repeats + 1):  # separately, because the profiler slows down the host
-        wall.append(timed(partial(learner.update, batch), partial(settled, learner, start)))
+        wall.append(timed(partial(learner.learn, batch), partial(settled, learner, start)))
         settled(learner, start)
-        kernels.append(profiled(partial(learner.update, batch)))
+        kernels.append(profiled(partial(learner.learn, batch)))
     if not kernels[-1]["kernels"]:
         return {"ratio": None, "why": "torch's profiler saw no kernels here"}
     wall, seconds = np.array(wall[1:])[:, 0], np.array([each["seconds"] for each in kernels[1:]])
@@ -168,7 +168,7 @@ def recorded(ground: Ground) -> dict:
     return {"ratio": spread(np.array(share)), "captures": each}
 
 
-def settled(learner: Learner, state: Mapping[str, np.ndarray]) -> None:
+def settled(learner: HappoLearner, state: Mapping[str, np.ndarray]) -> None:
     """Load a state into a learner, and wait until it is on the device."""
     learner.load(state)
     if learner.device.type == "cuda":
@@ -182,8 +182,8 @@ def plain_jax(ground: Ground) -> dict:
     if not all(each.all() for each in loop.trajectory.alive.values()):
         return {"ratio": None, "why": "agents may leave this game, and the update in JAX has no masks"}
     learner = ground.learners(fixed_order=True)[0]
-    learner.load(loop.learners[0].state())
-    c, start = learner.config, learner.state()
+    learner.load(loop.learners[0].save())
+    c, start = learner.config, learner.save()
     sound = np.flatnonzero(~np.asarray(loop.trajectory.void).any(0))
     batch = loop.batch(0, loop.trajectory, sound[: len(sound) // c.minibatches * c.minibatches])
     team, same, size = happo_jax.team_of(learner), happo_jax.batch_of(batch), batch.rewards.numel()
@@ -191,11 +191,11 @@ def plain_jax(ground: Ground) -> dict:
     agents = len(team.actors)
     # The batch is an argument: with a constant, XLA would precompute everything that depends only on it.
     whole = jax.jit(lambda team, batch, key: update(team, batch, happo_jax.draw(key, agents + 1, c.epochs, size)))
-    ours = partial(timed, partial(learner.update, batch), partial(settled, learner, start))
+    ours = partial(timed, partial(learner.learn, batch), partial(settled, learner, start))
     took = turns({"torch": ours, "jax": lambda: timed(partial(whole, team, same, jax.random.key(0)))}, ground.repeats)
     settled(learner, start)
     moved, figures = jax.jit(update)(team, same, happo_jax.permutations_of(learner, size))
-    found = learner.update(batch)
+    found = learner.learn(batch)
     after = happo_jax.team_of(learner)
     return {
         "update_seconds": {name: spread(each[:, 0], 5) for name, each in took.items()}, "samples": size,

@@ -87,13 +87,13 @@ def distances(recording: Recording, scene: Replay) -> dict[str, np.ndarray]:
             inside = name == "ring"
             gap = [(-each if inside else each).min(axis=1) for each in away]
             found["edge" if inside else name] = np.stack(gap, axis=1)
-    for name, body in _loose(scene).items():
+    for name, body in loose_bodies(scene).items():
         gap = [np.linalg.norm(each - scene.xpos[:, [body]], axis=-1).min(axis=1) for each in at]
         found[name] = np.stack(gap, axis=1)
     return found
 
 
-def _loose(scene: Replay) -> dict[str, int]:
+def loose_bodies(scene: Replay) -> dict[str, int]:
     """Return the bodies with a free joint that belong to no robot, by name."""
     model, own = scene.model, {robot.body for robot in scene.robots}
     free = model.jnt_bodyid[model.jnt_type == _mujoco().mjtJoint.mjJNT_FREE]

@@ -20,15 +20,15 @@ class Schedule:
     period the other teams take over its policies; frozen: only `learner` ever learns."""
 
     period: int = 50
-    """Leapfrog: learning iterations in a team's turn. Ladder: learning iterations between two copies."""
+    """Leapfrog: learning iterations in a team's phase. Ladder: learning iterations between two copies."""
 
     period_steps: int | None = None
     """Period in environment steps (decisions × worlds), as HARL counts: it ends after the iteration in which the team
     reaches so many steps (none: by `period`)."""
 
     until_score: float | None = None
-    """Leapfrog: a team's turn also ends once it scores more than this with 95 % confidence (none: only by period). The
-    score is that of training, over the turn's newest iterations of 500 episodes in all."""
+    """Leapfrog: a team's phase also ends once it scores more than this with 95 % confidence (none: only by period). The
+    score is that of training, over the phase's newest iterations of 500 episodes in all."""
 
     learner: int = 0
     """Number of the team that learns first (leapfrog) or alone (ladder, frozen), from 0."""
@@ -37,13 +37,13 @@ class Schedule:
         if self.kind not in get_args(Kind):
             raise ValueError(f"kind is {self.kind!r}; choose one of {', '.join(get_args(Kind))}")
         if self.period < 1:
-            raise ValueError(f"period is {self.period}; a turn lasts 1 iteration or more")
+            raise ValueError(f"period is {self.period}; a phase lasts 1 iteration or more")
         if self.period_steps is not None and self.period_steps < 1:
-            raise ValueError(f"period_steps is {self.period_steps}; a turn lasts 1 environment step or more")
+            raise ValueError(f"period_steps is {self.period_steps}; a phase lasts 1 environment step or more")
         if self.until_score is not None and not 0 < self.until_score < 1:
             raise ValueError(f"until_score is {self.until_score}; a score lies between 0 and 1, e.g. 0.7")
         if self.until_score is not None and self.kind != "leapfrog":
-            raise ValueError(f"until_score ends a turn of leapfrog, and kind is {self.kind!r}")
+            raise ValueError(f"until_score ends a phase of leapfrog, and kind is {self.kind!r}")
         if self.learner < 0:
             raise ValueError(f"learner is {self.learner}; it is a team's number, counted from 0")
 
@@ -61,22 +61,21 @@ class LearningCounts(NamedTuple):
 
     iterations: int = 0
     steps: int = 0  # environment steps: decisions × worlds
-    low: float = 0.0  # lower end of its score's interval in the current turn, see `turn_score`
+    low: float = 0.0  # lower end of its score's interval in the current phase, see `phase_score`
 
 
 WINDOW = 500  # episodes: they give a score of 0.7 to ± 0.04
 
 
-def turn_score(results: Sequence[tuple[float, float]]) -> Score:
+def phase_score(results: Sequence[tuple[float, float]]) -> Score:
     """Return a learner's recent score, with its 95 % interval, from finished episodes and their mean score.
 
     Args:
-        results: (episodes, score) of each iteration of its turn, oldest first. Only the newest with WINDOW episodes in
-            all
-            count, because the policy before was another; all count if there are fewer.
+        results: (episodes, score) of each iteration of its phase, oldest first. Only the newest with WINDOW episodes
+            in all count, because the policy before was another; all count if there are fewer.
 
     Every game counts as decisive, which makes the interval wider if some are drawn. The interval holds for a single
-    look: checked after each iteration, a turn now and then ends a little early by chance.
+    look: checked after each iteration, a phase now and then ends a little early by chance.
     """
     episodes = points = 0.0
     for number, score in reversed(results):

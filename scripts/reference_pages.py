@@ -23,6 +23,7 @@ from league.config.schema import (
     expected,
     hints,
     is_table,
+    key_of,
     literal,
     notes,
     required,
@@ -37,6 +38,7 @@ WIDTH = 120
 ROOMS = {
     "run": "Running a league",
     "analyse": "Ratings, tables and checks",
+    "design": "Preparing",
     "watch": "Watching",
     "play": "Matches of your own",
     "store": "Stores, archives and policies",
@@ -117,7 +119,7 @@ def _tables(config: Any, prefix: Key = ()) -> Iterator[str]:
     """Yield a title, a summary and a table of keys for each group of settings, then one for each list of tables."""
     inner, lists = [], []
     for each in settings(config):
-        key, hint, value = (*prefix, each.name), hints(type(config))[each.name], getattr(config, each.name)
+        key, hint, value = (*prefix, key_of(each)), hints(type(config))[each.name], getattr(config, each.name)
         if is_table(value):
             inner.append((value, key))
         elif table_of(hint) is not None:
@@ -144,7 +146,7 @@ def _keys(cls: type, values: Any, prefix: Key) -> str:
         default, possible = ("none", "a table") if table_of(hint) else (_default(value), _possible(each, hint))
         former = each.metadata.get("formerly")
         note = found.get(each.name, "") + (f" Formerly `{former}`." if former else "")
-        rows.append((f"`{'.'.join((*prefix, each.name))}`", default, possible, note))
+        rows.append((f"`{'.'.join((*prefix, key_of(each)))}`", default, possible, note))
     return _table(("key", "default", "possible", "what it is"), rows) if rows else ""
 
 

@@ -25,21 +25,21 @@ from agents.learner.minibatches import mean_weights, minibatch_orders
 from agents.learner.optimizer import matmul_precision, maybe_compiled
 from agents.settings import OBSERVATION_CLIP
 
-Update = Callable[["Learner", Batch], dict[str, float]]
+Update = Callable[["HappoLearner", Batch], dict[str, float]]
 
 
 def _with_precision(update: Update) -> Update:
     """Run an update with the precision of matrix products that its learner's settings say."""
 
     @wraps(update)
-    def with_precision(learner: "Learner", batch: Batch) -> dict[str, float]:
+    def with_precision(learner: "HappoLearner", batch: Batch) -> dict[str, float]:
         with matmul_precision(learner.config.precision):
             return update(learner, batch)
 
     return with_precision
 
 
-class Learner(LearnerState):
+class HappoLearner(LearnerState):
     """A team that learns; `LearnerState` has its arguments, networks and state."""
 
     final_memories: Sequence[Tensor] = ()  # of each critic (N, units), after the newest update
@@ -50,7 +50,7 @@ class Learner(LearnerState):
         return maybe_compiled(self._standardise_advantages, self.config.compiled and self.comm.size == 1)
 
     @_with_precision
-    def update(self, batch: Batch) -> dict[str, float]:
+    def learn(self, batch: Batch) -> dict[str, float]:
         """Update every actor and critic once; return losses and diagnostics, means over the update.
 
         The update does not depend on the contents of void decisions; if all are void there is no update and the result
@@ -98,7 +98,7 @@ class Learner(LearnerState):
     def update_critic_only(self, batch: Batch) -> dict[str, float]:
         """Update the critics only, for a team that does not learn: its values follow the other teams' learning.
 
-        Actors and observation statistics, which are part of the policy, stay unchanged. Returns and raises as `update`
+        Actors and observation statistics, which are part of the policy, stay unchanged. Returns and raises as `learn`
         does.
         """
         run = self.graphs.for_shape(batch.rewards.shape)

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from agents.settings import HappoConfig
 
 
 class LearnerSpec(NamedTuple):
-    """Arguments of a learner in one process: `Learner(*spec)` has the same shape, and `load` gives it its state."""
+    """Arguments of a learner in one process: `HappoLearner(*spec)` has its shape, and `load` gives it its state."""
 
     observation_sizes: tuple[int, ...]
     action_sizes: tuple[int, ...]
@@ -33,7 +33,7 @@ class LearnerSpec(NamedTuple):
 
 
 class LearnerState:
-    """The state of a team that learns, on `device` auto, cpu or cuda. `state()` is all of it, which `load` restores.
+    """The state of a team that learns, on `device` auto, cpu or cuda. `save()` is all of it, which `load` restores.
 
     `kinds` are the agents' robots; agents of one kind and equal sizes are equal. Without `kinds` all are of one kind.
     `others` are the observation sizes of the other teams' agents, in the order of batches. `critic_size` is the size of
@@ -103,16 +103,24 @@ class LearnerState:
         by_owner = {learner.agents[0]: learner.network for learner in self.actor_learners}
         return [by_owner[owner] for owner in self.actor_owners]
 
-    def policies(self) -> list[dict[str, Tensor]]:
+    def export(self) -> list[dict[str, Tensor]]:
         """Return each agent's actor's state dict, which is its policy; the tensors are live."""
         return [{k: v.detach() for k, v in actor.state_dict().items()} for actor in self.actors]
 
-    def state(self) -> dict[str, np.ndarray]:
+    def act(self) -> list[dict[str, Tensor]]:
+        """Return the policies by which its agents act in the next rollout: those that `export` gives."""
+        return self.export()
+
+    def save(self) -> dict[str, np.ndarray]:
         """Return everything that `load` needs to continue: weights, optimizers, normalisers, random numbers."""
         return checkpoint.write(self._tensors(), self.rng)
 
+    def reseed(self, seed: int) -> None:
+        """Give the learner other random numbers."""
+        self.rng.manual_seed(seed)
+
     def load(self, state: State) -> None:
-        """Restore a `state()`.
+        """Restore a `save()`.
 
         Raises ValueError naming arrays that are missing, of another shape, activation or kind of policy, or not finite;
         then nothing has changed.
@@ -124,7 +132,7 @@ class LearnerState:
     def warm_start(
         self, actors: Sequence[tuple[State, int] | None], critic: State | None, from_other_arena: bool = False
     ) -> None:
-        """Take over weights of other learners: for each agent a `state()` and the number of an agent in it, or None.
+        """Take over weights of other learners: for each agent a `save()` and the number of an agent in it, or None.
 
         An actor brings its standard deviation and observation statistics; critics bring theirs and their value
         normalisers. None leaves an actor or the critics unchanged, and optimizers, step counts and random numbers stay
@@ -132,7 +140,7 @@ class LearnerState:
         `from_other_arena`, inputs that were constant there have no effect here at first. Raises ValueError as `load`
         does.
         """
-        state = self.state()
+        state = self.save()
         given = checkpoint.with_constant_inputs_silenced if from_other_arena else checkpoint.upgrade_state
         for i, source in enumerate(actors):
             if source is not None and self.actor_owners[i] == i:
@@ -165,11 +173,11 @@ class LearnerState:
         checkpoint.check_finite(self._tensors())
 
 
-def check_ranks_agree(learners: Mapping[str, LearnerState]) -> None:
+def check_ranks_agree(learners: Mapping[str, Any]) -> None:
     """Raise RuntimeError unless all ranks hold the same bytes of all learners; averages would be meaningless."""
     for player, learner in learners.items():
         if learner.comm.size > 1:
-            state = learner.state()
+            state = learner.save()
             checksums = learner.comm.gather(zlib.crc32(b"".join(state[name].tobytes() for name in sorted(state))))
             if len(set(checksums)) > 1:
                 raise RuntimeError(f"the ranks no longer hold the same {player}; nothing of this turn is written")

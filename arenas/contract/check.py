@@ -42,8 +42,12 @@ class CheckResult(NamedTuple):
     detail: str = ""
 
 
-def examine(name: str, **options: Unpack[EngineOptions]) -> list[CheckResult]:
+def examine(
+    name: str, change: Callable[[Settings], Settings] | None = None, **options: Unpack[EngineOptions]
+) -> list[CheckResult]:
     """Find an arena by name and run every check of the contract, including that the arena can be found and built.
+
+    `change` turns its default settings into those to examine, such as those with terms of functions in files.
 
     Raises ArenaError or EngineError for names that lead nowhere. An error in the arena's own code is a failed check.
     """
@@ -55,6 +59,7 @@ def examine(name: str, **options: Unpack[EngineOptions]) -> list[CheckResult]:
         raise
     except ARENA_FAILURES as error:
         return [CheckResult(FOUND, False, describe_error(error, own))]
+    settings = settings if change is None else change(settings)
     own += _files(type(settings))
     try:
         arena = settings.build(**options | {"worlds": WORLDS})

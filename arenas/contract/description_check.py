@@ -60,10 +60,19 @@ def _outline(arena: Arena, settings: object) -> str:
     if outline is None:
         return ""
     said = outline()
+    added = bool(getattr(settings, "observation_terms", None))  # an outline knows no function in a file
+
+    def known(size: int) -> int:
+        return 0 if added else size
+
     teams = {
-        team.name: tuple(AgentOutline(a.kind, a.observation_size, a.action_size) for a in team.agents)
+        team.name: tuple(AgentOutline(a.kind, known(a.observation_size), a.action_size) for a in team.agents)
         for team in arena.teams
     }
-    if {name: tuple(seats) for name, seats in said.teams.items()} != teams:
+    told = {
+        name: tuple(seat._replace(observation_size=known(seat.observation_size)) for seat in seats)
+        for name, seats in said.teams.items()
+    }
+    if told != teams:
         return f"the settings' outline has the teams {dict(said.teams)}, the arena {teams}"
     return "" if said.timing == arena.timing else f"the settings' outline has {said.timing}, the arena {arena.timing}"

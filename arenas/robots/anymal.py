@@ -129,6 +129,7 @@ def anymal(fall_height: float = 0.17, fall_up: float = 0.3, decision: float = 0.
         law=torques,
         proprioception=_proprioception,
         fallen=partial(_fallen, fall_height, fall_up),
+        feet=tuple(f"{leg}_SHANK" for leg in LEGS),
         scripts=scripts,
         proprioception_parts=PROPRIOCEPTION,
         action_parts=(

@@ -84,6 +84,11 @@ class Robot:
     scripts: Mapping[str, Script] = field(default_factory=dict)  # scripts that need no game: idle, random, ...
     proprioception_parts: tuple[Part, ...] = ()  # description of proprioception; empty: its numbers have no names
     action_parts: tuple[Part, ...] = ()  # description of the action; empty: its numbers have no names
+    drive: Callable[[Array, bool], Array] | None = None  # position (2,) ahead and left, stop there? -> action
+    radius: float = 0.0  # m, of the circle that it covers, for scripts that pass by; 0: not known
+    feet: tuple[str, ...] = ()  # bodies that it walks on
+    torques: JointLaw | None = None  # torques of its motors under a ctrl; None: ctrl is the torques
+    identity: str = ""  # settings outside the code and the model that decide how it moves; for configuration hashes
 
     def __post_init__(self) -> None:
         """Check that `rest` covers all joints or none, and `limp` the whole action or none of it."""

@@ -36,14 +36,17 @@ class Film:
         players: Sequence[MatchPlayer] | None = None,
         close: bool = False,
         labels: bool = True,
+        stage: tuple[np.ndarray, float] | None = None,
     ):
         """Prepare pictures of `size` pixels, of the whole scene, or with `close` only of the region that robots reach.
+
+        A `stage`, centre (3,) and radius in m, is framed in its place.
 
         `labels` above the robots hide part of the background. The caption at the top shows each player in its colour.
         """
         self.recording, self.size, self.labels = recording, size, labels
         self.scene: Replay = replay(recording, players)
-        centre, radius = _stage(self.scene) if close else (np.zeros(3), self.scene.radius)
+        centre, radius = stage or (_stage(self.scene) if close else (np.zeros(3), self.scene.radius))
         camera = Camera.framing(centre, radius, (SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]))
         self.camera, self._raycaster = camera, Raycaster(self.scene, camera, grid_spacing(self.scene.radius))
 

@@ -147,6 +147,32 @@ def curves(points: Rows, key: str, title: str, over: str = "steps", across: str 
     return _figure(traces, across, title, 320)
 
 
+def bands(points: Rows, title: str, over: str = "steps", across: str = "training steps") -> Figure:
+    """Return means over steps, a line for each cell, with a band from the lowest to the highest.
+
+    Args:
+        points: in order, with `cell`, `mean`, `low`, `high` and `over`.
+        title: the metric's name on the page.
+        over: the key of the horizontal axis.
+        across: the title of the horizontal axis.
+    """
+    traces = []
+    for cell, style in _styles(point["cell"] for point in points).items():
+        own = [p for p in points if p["cell"] == cell]
+        x = [p[over] for p in own]
+        traces.append({
+            "type": "scatter", "mode": "lines", "x": [*x, *reversed(x)],
+            "y": [p["high"] for p in own] + [p["low"] for p in reversed(own)], "fill": "toself",
+            "fillcolor": _faint(style["color"]), "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False,
+            "legendgroup": cell,
+        })  # fmt: skip
+        traces.append({
+            "type": "scatter", "mode": "lines", "name": cell, "legendgroup": cell, "x": x,
+            "y": [p["mean"] for p in own], "line": style,
+        })  # fmt: skip
+    return _figure(traces, across, title)
+
+
 def lineage(snapshots: Rows) -> Figure:
     """Return the ancestry of snapshots: a row for each player, a line from each snapshot to its parent.
 

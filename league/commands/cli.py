@@ -17,7 +17,14 @@ COMMANDS = {
     "stop": ("league.commands.run.stop", "stop a running league, on whatever host it runs"),
     "status": ("league.commands.run.status", "what runs, who learns, which jobs wait or were set aside"),
     "doctor": ("league.commands.run.doctor", "examine this machine: what is missing, and the command that brings it"),
-    "init": ("league.commands.run.init", "write a commented league.toml"),
+    "init": ("league.commands.design.init", "write a commented league.toml"),
+    "presets": ("league.commands.design.preset_list", "the presets, a line each; of one that is named, all settings"),
+    "sweep": ("league.commands.run.sweep", "a grid of settings and seeds, each run a league of one store"),
+    "compare": (
+        "league.commands.analyse.compare",
+        "leagues side by side: curves with bands, and one ladder by cross-play",
+    ),
+    "list": ("league.commands.store.leagues", "the leagues of a store, and whether they run"),
     "ratings": ("league.commands.analyse.ratings", "the ratings table"),
     "rate": ("league.commands.analyse.rate", "ratings of a match log of your own, from a CSV file"),
     "matches": ("league.commands.analyse.tables", "the match log"),
@@ -51,8 +58,12 @@ COMMANDS = {
     "unpack": ("league.commands.store.archives", "the leagues in such a file, added to a store"),
     "export": ("league.commands.store.policies", "a frozen policy as a safetensors file, with its card"),
     "import": ("league.commands.store.policies", "such a file as a fixed player of a league"),
-    "arenas": ("league.commands.analyse.arenas", "the arenas; of one that is named, all about it"),
-    "check": ("league.commands.analyse.check", "examine an arena, ours or your own: league check file.py:name"),
+    "arenas": ("league.commands.design.arenas", "the arenas; of one that is named, all about it"),
+    "robot": (
+        "league.commands.design.robot",
+        "read a robot from an MJCF or URDF file, try it, and write its settings",
+    ),
+    "check": ("league.commands.design.check", "examine an arena, ours or your own: league check file.py:name"),
 }
 
 LINE = 3000
@@ -84,8 +95,8 @@ def _guarded(action: Callable[[], int], debug: bool) -> int:
     except Exception as error:
         if debug:
             raise
-        print(f"league: {_one_line(error)}", file=sys.stderr)
-        return exit_codes.of(error) if _is_expected(error) else exit_codes.NO
+        print(f"league: {one_line(error)}", file=sys.stderr)
+        return exit_codes.of(error) if is_expected(error) else exit_codes.NO
 
 
 def _code(action: Callable[[], int]) -> int:
@@ -160,7 +171,7 @@ def _help() -> str:
     )
 
 
-def _is_expected(error: Exception) -> bool:
+def is_expected(error: Exception) -> bool:
     """Return True for errors that a user can correct: one line states the value given and the possible values."""
     from storage.errors import StorageError
 
@@ -176,14 +187,15 @@ def _is_expected(error: Exception) -> bool:
     return isinstance(error, tuple(known))
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """Return an error as one line: its message, or for a fault of the program its type too."""
     text = " ".join(str(error).split())
     if "@" in text or "=" in text:  # a password in a store's address has these characters beside it
         from storage.database.urls import without_passwords
 
         text = without_passwords(text)
     text = text if len(text) <= LINE else f"{text[: LINE - 300]} ... {text[-200:]}"
-    return text if _is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
+    return text if is_expected(error) else f"{type(error).__name__}: {text} (--debug shows where)"
 
 
 if __name__ == "__main__":

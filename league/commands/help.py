@@ -8,7 +8,7 @@ from dataclasses import MISSING, Field
 from typing import Any, Literal, get_args, get_origin
 
 from league.config import flags
-from league.config.schema import Key, absent, hints, is_table, literal, notes, required, settings, table_of
+from league.config.schema import Key, absent, hints, is_table, key_of, literal, notes, required, settings, table_of
 
 INDENT = 33  # columns before the notes
 
@@ -52,7 +52,7 @@ def groups(config: Any, prefix: Key = ()) -> Iterator[tuple[str, list[str]]]:
     summary, found = notes(type(config))
     entries, tables = [], []
     for each in settings(config):
-        key, value, hint = (*prefix, each.name), getattr(config, each.name), hints(type(config))[each.name]
+        key, value, hint = (*prefix, key_of(each)), getattr(config, each.name), hints(type(config))[each.name]
         if is_table(value):
             tables.append((value, key))
         elif table_of(hint) is not None:

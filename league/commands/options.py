@@ -1,7 +1,8 @@
 """Options that several commands share, and the conversion of a command's arguments to a dataclass.
 
 A command's options are a frozen dataclass in the style of `league/config/schema.py`: each field has its note, type and
-bounds. In a field's metadata, `positional` marks a word without a flag; `flag` is a name that Python does not allow.
+bounds. In a field's metadata, `positional` marks a word without a flag, with `many` all such words that are left;
+`flag` is a name that Python does not allow.
 """
 
 import difflib
@@ -91,9 +92,12 @@ def parse(cls: type[T], args: Sequence[str], command: str, what: str) -> T:
 def options(cls: type[T], split: flags.SplitArguments, command: str) -> T:
     """Convert a split command line to options. Raises ConfigError."""
     places = [f for f in settings(cls) if f.metadata.get("positional")]
-    if len(split.rest) > len(places):
-        raise _too_many(split.rest, places, command)
+    many = places.pop() if places and places[-1].metadata.get("many") else None
     table = flags.values(split.given, cls)
+    if many is not None and many.name not in table:
+        table[many.name] = split.rest[len(places) :]
+    elif len(split.rest) > len(places):
+        raise _too_many(split.rest, places, command)
     for place, word in zip(places, split.rest, strict=False):
         if place.name in table:
             raise ConfigError((place.name,), f"{place.name} is given twice, as {table[place.name]} and as {word}")

@@ -1,11 +1,13 @@
 """Conversion of plain dictionaries, from TOML or flags, to a tree of dataclasses. Any error is one ConfigError."""
 
 import difflib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
+from arenas.arena_settings import Table
 from league.config.former_names import present_names
 from league.config.schema import (
     UNSET,
@@ -20,6 +22,7 @@ from league.config.schema import (
     hints,
     inner_table,
     is_table,
+    key_of,
     refuse,
     required,
     settings,
@@ -48,7 +51,7 @@ def build(cls: type[T], table: Mapping[str, Any], base: T | None = None) -> T:
 def keys(cls: type, base: Any = None, prefix: Key = ()) -> Iterator[Key]:
     """Yield every key that a user can set, including tables, in the order of the fields."""
     for field in settings(cls):
-        key = (*prefix, field.name)
+        key = (*prefix, key_of(field))
         yield key
         inner, default = inner_table(cls, field, base)
         if inner is not None and get_origin(required(hints(cls)[field.name])[0]) is not tuple:
@@ -56,27 +59,30 @@ def keys(cls: type, base: Any = None, prefix: Key = ()) -> Iterator[Key]:
 
 
 def _table(cls: type, table: Mapping[str, Any], base: Any, prefix: Key, everywhere: list[Key]) -> Any:
-    known, values = {field.name: field for field in settings(cls)}, {}
+    known, values = {key_of(field): field for field in settings(cls)}, {}
     for name, value in table.items():
         key = (*prefix, name)
         if name not in known:
             raise _unknown(key, known, everywhere)
         default = absent(known[name], base)
-        if is_table(default) and isinstance(value, Mapping):
+        if isinstance(default, Table) and isinstance(value, Mapping):
+            values[name] = _free_table(_laid_over(default, value), key)
+        elif is_table(default) and isinstance(value, Mapping):
             values[name] = _table(type(default), value, default, key, everywhere)
-        elif is_table(default) and required(hints(cls)[name])[0] is Any:
+        elif is_table(default) and required(hints(cls)[known[name].name])[0] is Any:
             raise refuse(key, value, f"expected a table: its settings are keys such as {_first(key, default)}")
         else:
-            values[name] = _value(value, hints(cls)[name], key, everywhere)
+            values[name] = _value(value, hints(cls)[known[name].name], key, everywhere)
     for name, field in known.items():
         if name not in values and absent(field, base) is MISSING:
             key = (*prefix, name)
-            raise ConfigError(key, f"{dotted(key)} is missing: expected {expected(hints(cls)[name])}")
+            raise ConfigError(key, f"{dotted(key)} is missing: expected {expected(hints(cls)[field.name])}")
     for name, value in values.items():  # before a class uses the values in `__post_init__`
         if value is not None and not is_table(value):
             check_value(value, known[name].metadata, (*prefix, name))
     try:
-        return replace(base, **values) if is_table(base) else cls(**values)
+        given = {known[name].name: value for name, value in values.items()}
+        return replace(base, **given) if is_table(base) else cls(**given)
     except ArithmeticError as error:  # from a class that divides by a setting
         reason = f"{dotted(prefix) or 'settings'}: cannot be computed with ({error})"
         raise ConfigError(prefix, f"{reason}: {', '.join(map(dotted, _named(prefix, values)))}") from None
@@ -101,6 +107,8 @@ def _value(value: Any, hint: Any, key: Key, everywhere: list[Key]) -> Any:
         return None
     if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
         return _table(kind, value, None, key, everywhere)
+    if kind is Table and isinstance(value, Mapping):
+        return _free_table(value, key)
     args = get_args(kind)
     if get_origin(kind) is Literal and any(value == arg and type(value) is type(arg) for arg in args):
         return value
@@ -120,6 +128,28 @@ def _value(value: Any, hint: Any, key: Key, everywhere: list[Key]) -> Any:
             raise refuse(key, value, "must be the name of a file or folder; . is this folder")
         return Path(value)
     raise refuse(key, value, f"expected {expected(hint)}")
+
+
+def _laid_over(before: Mapping[str, Any], value: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of any keys with other values laid over it; `none` takes a key away. - and _ are alike in keys."""
+    found: dict[str, Any] = {}
+    for name, each in (*before.items(), *value.items()):
+        known = next((other for other in found if other.replace("-", "_") == name.replace("-", "_")), name)
+        if each == UNSET:
+            found.pop(known, None)
+        elif isinstance(each, Mapping):
+            inner = found.get(known)
+            found[known] = _laid_over(inner if isinstance(inner, Mapping) else {}, each)
+        else:
+            found[known] = each
+    return found
+
+
+def _free_table(value: Mapping[str, Any], key: Key) -> Table:
+    try:
+        return Table(value)
+    except ValueError as error:
+        raise refuse(key, value, error) from None
 
 
 def _as_float(value: int, key: Key) -> float:
@@ -159,6 +189,8 @@ def from_text(text: str, hint: Any, key: Key) -> Any:
     kind, optional = required(hint)
     if optional and text == UNSET:
         return text
+    if kind is Table or kind is Any:
+        return _plain_from_text(text, kind, key)
     if text[:1] in ("[", "{") and (get_origin(kind) is tuple or table_of(hint) is not None):
         import tomllib
 
@@ -179,6 +211,25 @@ def from_text(text: str, hint: Any, key: Key) -> Any:
         return {int: int, float: float}.get(kind, str)(text)
     except ValueError:
         return text  # of the wrong type: `build` refuses it and lists the possible values
+
+
+def _plain_from_text(text: str, kind: Any, key: Key) -> Any:
+    """Turn the text of a table of any keys, or of one of its values, into a plain value: as in TOML, or as in JSON.
+
+    A value that is neither is a text. Raises ConfigError for a table that is neither.
+    """
+    import tomllib
+
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
+        pass
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        if kind is Table:
+            raise refuse(key, text, "expected a table, as in a file: {name = value, ...}") from None
+        return text
 
 
 TRUTHS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import arenas
-from agents.settings import HappoConfig
+from agents.settings import HAPPO, HappoConfig
 from arenas.arena_settings import EngineName
 from arenas.contract.error_location import describe_error, source_files
 from arenas.errors import ArenaError
@@ -20,7 +20,7 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.schema import ConfigError
+from league.config.schema import ConfigError, Key, dotted
 from league.config.sections import (
     Budget,
     Buffers,
@@ -247,13 +247,29 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
     return base if name in (None, base.arena.name) else replace(base, arena=default(name).arena)
 
 
-def loads(text: str, source: str = "league.toml", given: flags.Given | None = None) -> Config:
+def _check_learner_flags(config: Config, given: flags.Given) -> None:
+    """Raise ConfigError for a flag of HAPPO where no player learns by it. A file may have such keys: presets do."""
+    classes = {player.class_ or config.learner.class_ for player in config.players} or {config.learner.class_}
+    if HAPPO in classes:
+        return
+    for key in given:
+        if key[0] == "learner" and key[1] not in ("class", "settings", "critic_input"):
+            raise ConfigError(
+                key,
+                f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"
+                f" give its own as --learner.settings.{key[-1]}",
+            )
+
+
+def loads(
+    text: str, source: str = "league.toml", given: flags.Given | None = None, over: Mapping[str, Any] | None = None
+) -> Config:
     """Read a configuration from TOML; missing keys have the defaults of the named arena.
 
-    `given` holds the text of flags by their keys; a flag overrides the file. Raises ConfigError, one line with the
-    place of the error: the file and its line, or the flag.
+    `given` holds the text of flags by their keys; a flag overrides the file. So do `over`, tables of values. Raises
+    ConfigError, one line with the place of the error: the file and its line, or the flag.
     """
-    given, table = given or {}, toml.parse(text, source)
+    given, table = given or {}, flags.merged(toml.parse(text, source), over or {})
     base = base_of(table, given, source, text)
     table.pop(PRESET, None)
     former: Former = {}
@@ -261,6 +277,7 @@ def loads(text: str, source: str = "league.toml", given: flags.Given | None = No
         table, former = _present_names(table, base)
         tables = table.pop(parts.KEY, None)
         config = build(Config, flags.merged(table, flags.values(given, Config, base)), base)
+        _check_learner_flags(config, given)
         config = config if tables is None else replace(config, stages=parts.read(tables))
         for number in range(len(config.stages)):
             stage(config, number)  # raises if a stage is invalid
@@ -269,7 +286,21 @@ def loads(text: str, source: str = "league.toml", given: flags.Given | None = No
         if flags.is_of(error.key, given):
             raise flags.as_flag(error) from None
         key = former.get(error.key, error.key)
+        if not text or _names(over or {}, key):
+            raise ConfigError(error.key, error.message) from None
         raise ConfigError(error.key, error.message, f"{toml.place(key, text, source)}: ") from None
+
+
+def _names(tables: Mapping[str, Any], key: Key) -> bool:
+    """Return whether tables hold a value at a key, or at a part of it."""
+    own: Any = tables
+    for name in key:
+        if not isinstance(own, Mapping):
+            return True
+        if name not in own:
+            return False
+        own = own[name]
+    return bool(key)
 
 
 def former_names(text: str, source: str = "league.toml") -> Former:
@@ -298,7 +329,9 @@ def change(base: Config, given: flags.Given) -> Config:
     if name is not None and name != base.arena.name:
         base = replace(base, arena=default(name).arena)
     try:
-        return build(Config, flags.values(given, Config, base), base)
+        config = build(Config, flags.values(given, Config, base), base)
+        _check_learner_flags(config, given)
+        return config
     except ConfigError as error:
         raise flags.as_flag(error) from None
 

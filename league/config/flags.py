@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import Field
 from typing import Any, NamedTuple
 
+from arenas.arena_settings import Table
 from league.config.build import TRUTHS, from_text
 from league.config.former_names import Former
-from league.config.schema import ConfigError, Key, dotted, hints, inner_table, required, settings
+from league.config.schema import ConfigError, Key, dotted, hints, inner_table, key_of, required, settings
 
 Given = Mapping[Key, str]
 """The text of flags by their keys."""
@@ -90,6 +91,8 @@ def _found(key: Key, cls: type, base: Any) -> tuple[Key, Any]:
         inner, default = inner_table(cls, field, base)
         if depth == len(key) - 1:
             return now, type(default) if default is not None else hints(cls)[field.name]
+        if required(hints(cls)[field.name])[0] is Table:
+            return (*now, *key[depth + 1 :]), Any  # a key of a table of any keys
         if inner is None:
             return key, None
         cls, base = inner, default
@@ -115,8 +118,8 @@ def present(given: Given, cls: type, base: Any = None) -> tuple[dict[Key, str], 
 
 
 def option(field: Field) -> str:
-    """Return the name of a field's flag: `flag` of its metadata, else the field's name."""
-    return field.metadata.get("flag", field.name)
+    """Return the name of a field's flag: `flag` of its metadata, else the name of the setting."""
+    return field.metadata.get("flag", key_of(field))
 
 
 def is_switch(key: Key, cls: type, base: Any = None) -> bool | None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import Field
 from typing import Any
 
-from league.config.schema import ConfigError, Key, dotted, hints, inner_table, literal, settings, table_of
+from league.config.schema import ConfigError, Key, dotted, hints, inner_table, key_of, literal, settings, table_of
 
 Former = dict[Key, Key]
 """The keys that were given by a former name: present key -> key as it was given. The key of a value in a list ends with
@@ -18,7 +18,7 @@ the value in quotes."""
 
 def field_named(cls: Any, name: str) -> Field | None:
     """Return the setting of a class that has, or formerly had, that name."""
-    return next((each for each in settings(cls) if name in (each.name, each.metadata.get("formerly"))), None)
+    return next((each for each in settings(cls) if name in (key_of(each), each.metadata.get("formerly"))), None)
 
 
 def present_names(table: Mapping[str, Any], cls: type, base: Any = None, at: Key = ()) -> tuple[dict[str, Any], Former]:
@@ -37,7 +37,7 @@ def _table(table: Mapping[str, Any], cls: type, base: Any, keys: tuple[Key, Key]
     for name, value in table.items():
         field = field_named(cls, name)
         kind, default = (None, None) if field is None else inner_table(cls, field, base)
-        key, given = (*keys[0], name if field is None else field.name), (*keys[1], name)
+        key, given = (*keys[0], name if field is None else key_of(field)), (*keys[1], name)
         if key[-1] != name:
             if key[-1] in table:
                 raise ConfigError(given, f"{dotted(given)} is now {dotted(key)}: give only {dotted(key)}")
@@ -78,7 +78,7 @@ def value_at(table: Any, key: Key, cls: Any) -> Any:
     """
     for name in key:
         field = None if cls is None else field_named(cls, name)
-        names = (name,) if field is None else (field.name, field.metadata.get("formerly", field.name))
+        names = (name,) if field is None else (key_of(field), field.metadata.get("formerly", name))
         table = table[next((each for each in names if each in table), name)]
         cls = None if field is None else table_of(hints(cls)[field.name])
     return table

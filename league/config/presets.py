@@ -18,7 +18,7 @@ from matchmaking.schedule import Schedule
 def quickstart() -> Config:
     """2v2 rovers that learn to push each other out of a shrinking ring: three minutes on two cores, then ratings."""
     config = default()
-    return replace(config, league="quickstart", budget=Budget(training_time="3m", rating_time="45s"))
+    return replace(config, league="quickstart", budget=Budget(training_time="3m", rating_time="1m"))
 
 
 def duel() -> Config:
@@ -232,5 +232,8 @@ def preset(name: str) -> Config:
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, 1)
         hint = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(("preset",), f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)})")
+        raise ConfigError(
+            ("preset",),
+            f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)}; `league presets` tells what each is)",
+        )
     return PRESETS[name]()

@@ -1,18 +1,18 @@
 """Description of settings by dataclass fields (a note, a type, bounds), and the check of values.
 
 A setting may hold an int, float, bool, str, Path, Literal, tuple[T, ...], tuple[T, U], another dataclass (a table), a
-tuple of those (a list of tables), or any of these or None. The string literal under a field is its note. The
-field's metadata has the conditions on its value:
+tuple of those (a list of tables), a Table of any keys, or any of these or None. The string literal under a field is its
+note. The field's metadata has the conditions on its value:
 
     lr: float = field(default=5e-4, metadata={"above": 0.0, "high": 0.1})
 
 `low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
 function that raises ValueError for values that it refuses; `most` bounds the number of values in a list; `formerly` is
-the name that the setting had before, and `values_formerly` those of names in a list (`league/config/former_names.py`).
-Conditions on several fields are checked in `__post_init__`, which raises ValueError("field: message") or
-ValueError("table.field: message"), or any other message about the whole table; bounds are checked before it. Numbers
-are finite. Without an upper bound of their own, floats are at most LARGEST and integers fit into 64 bits. Texts and
-lists are no longer than LONGEST and MOST.
+the name that the setting had before, and `values_formerly` those of names in a list (`league/config/former_names.py`);
+`key` is its name where Python reserves that word. Conditions on several fields are checked in `__post_init__`, which
+raises ValueError("field: message") or ValueError("table.field: message"), or any other message about the whole table;
+bounds are checked before it. Numbers are finite. Without an upper bound of their own, floats are at most LARGEST and
+integers fit into 64 bits. Texts and lists are no longer than LONGEST and MOST.
 """
 
 import ast
@@ -27,6 +27,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from arenas.arena_settings import Table
+
 Key = tuple[str, ...]
 UNSET = "none"
 """The word that stands for None: TOML has no null."""
@@ -38,7 +40,8 @@ DEEPEST = 500  # folders in a path; Python creates them recursively
 LONGEST, MOST = 10_000, 1_000  # maximum characters of a text, and values of a list
 
 WORDS: dict[Any, str] = {
-    int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes", Path: "a path in quotes"
+    int: "a whole number", float: "a number", bool: "true or false", str: "text in quotes", Path: "a path in quotes",
+    Table: "a table",
 }  # fmt: skip
 BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "low": ("at least", lambda value, bound: value >= bound),
@@ -83,7 +86,13 @@ def notes(cls: type) -> tuple[str, dict[str, str]]:
 
 def settings(cls: Any) -> Iterator[Field]:
     """Yield the fields of a dataclass that are settings; fields marked `apart` are read and written elsewhere."""
-    return (each for each in fields(cls) if each.init and not each.metadata.get("apart"))
+    found = [each for each in fields(cls) if each.init and not each.metadata.get("apart")]
+    return iter(sorted(found, key=lambda each: each.kw_only is True))  # an inherited one would be first
+
+
+def key_of(field: Field) -> str:
+    """Return the name of a setting in files and flags: that of its field, unless Python reserves it."""
+    return field.metadata.get("key", field.name)
 
 
 def is_table(value: Any) -> bool:
@@ -143,9 +152,14 @@ def literal(value: Any) -> str:
         return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(literal, value))}]"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{name} = {literal(each)}" for name, each in value.items()) + "}"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{bare(name)} = {literal(each)}" for name, each in value.items()) + "}"
     return repr(value) if isinstance(value, (int, float)) else str(value)
+
+
+def bare(name: str) -> str:
+    """Write a key as TOML: in quotes, unless it is made of ASCII letters, digits, - and _."""
+    return name if name.replace("-", "").replace("_", "").isalnum() and name.isascii() else literal(name)
 
 
 def expected(hint: Any) -> str:
@@ -192,7 +206,7 @@ def check(config: Any, prefix: Key = ()) -> None:
         ConfigError: a value is refused, e.g. `learner.gamma = 1.5: must be between 0 and 1`.
     """
     for field in settings(config):
-        key, value = (*prefix, field.name), getattr(config, field.name)
+        key, value = (*prefix, key_of(field)), getattr(config, field.name)
         if is_table(value):
             check(value, key)
         elif isinstance(value, tuple) and any(map(is_table, value)):

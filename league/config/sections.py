@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from arenas.arena_settings import Table
 from league.config.durations import seconds
 from matchmaking.opponents import Opponents
 from matchmaking.pbt import Pbt
@@ -29,6 +30,12 @@ def _is_duration(value: Any) -> None:
 def _lasts(value: Any) -> None:
     if seconds(value) == 0:
         raise ValueError("must be longer than nothing")
+
+
+def _names_learner(value: str | None) -> None:
+    from agents.settings import check_class  # late: a query does not import agents
+
+    check_class(value)
 
 
 def check_name(value: str) -> None:
@@ -55,6 +62,10 @@ class PlayerSettings:
     """Widths of its networks' hidden layers (none: those of learner.architecture)."""
     lr: float | None = field(default=None, metadata={"low": 0.0, "high": 1.0})
     """Learning rate of its actors (none: learner.lr)."""
+    class_: str | None = field(default=None, metadata={"key": "class", "valid": _names_learner})
+    """Its learner, as learner.class (none: that of the league)."""
+    settings: Table = field(default_factory=Table)
+    """Settings of its learner, over those of learner.settings where it is the same class."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a network without layers and for a player without a team."""

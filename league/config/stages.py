@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from league.config.schema import ConfigError, Key, literal, refuse
+from league.config.schema import ConfigError, Key, bare, literal, refuse
 from league.config.sections import check_name
 
 KEY = "stages"
@@ -57,7 +57,7 @@ def written(stages: Sequence[Stage]) -> str:
     """Write the stages as TOML that `read` reads back unchanged."""
     return "".join(
         f"\n[[{KEY}]]\nname = {literal(stage.name)}\n"
-        + "".join(f"{'.'.join(map(_bare, key))} = {literal(value)}\n" for key, value in _flat(stage.settings))
+        + "".join(f"{'.'.join(map(bare, key))} = {literal(value)}\n" for key, value in _flat(stage.settings))
         for stage in stages
     )
 
@@ -69,7 +69,3 @@ def _flat(table: Mapping[str, Any], prefix: Key = ()) -> Iterator[tuple[Key, Any
             yield from _flat(value, key)
         else:
             yield key, value
-
-
-def _bare(name: str) -> str:
-    return name if name.replace("-", "").replace("_", "").isalnum() and name.isascii() else literal(name)

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import Field
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
+from arenas.arena_settings import Table
 from league.config.build import build
 from league.config.schema import (
     UNSET,
@@ -21,6 +22,7 @@ from league.config.schema import (
     element,
     hints,
     is_table,
+    key_of,
     literal,
     notes,
     refuse,
@@ -60,8 +62,10 @@ def _entry(field: Field, value: Any, default: Any, hint: Any, note: str, key: Ke
     if optional and value == UNSET:
         raise refuse(key, value, "the word means that there is no value: use another one")
     if value is None and default is None:
-        return _comment([*lines, f"{field.name} =  (unset)"])
-    return _comment(lines) + f"{field.name} = {literal(UNSET if value is None else _as_floats(value, kind))}\n"
+        return _comment([*lines, f"{key_of(field)} =  (unset)"])
+    if isinstance(value, Table) and not value and not default:
+        return _comment([*lines, f"{key_of(field)} =  (a table; none is given)"])
+    return _comment(lines) + f"{key_of(field)} = {literal(UNSET if value is None else _as_floats(value, kind))}\n"
 
 
 def _paragraphs(config: Any, base: Any, key: Key, header: str = "") -> Iterator[str]:
@@ -70,7 +74,7 @@ def _paragraphs(config: Any, base: Any, key: Key, header: str = "") -> Iterator[
         yield head
     tables: list[Iterator[str]] = []  # they come last: all keys after a table's header belong to it
     for field in settings(config):
-        value, default, inner = getattr(config, field.name), absent(field, base), (*key, field.name)
+        value, default, inner = getattr(config, field.name), absent(field, base), (*key, key_of(field))
         name = ".".join(inner)
         hint, note = hints(type(config))[field.name], found.get(field.name, "")
         if is_table(value):

@@ -4,16 +4,36 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dashboards.tables import Column
+from league.queries.league_facts import read_hyperparameters
+from league.queries.query import Open
+from league.queries.status_lines import copying
 from league.scheduling.opponent_sampling import WIN_RATE, OpponentDistribution, opponent_distribution, records
 from league.state.league_state import LeagueState
 from matchmaking.opponents import Opponents, WinRecords
 from matchmaking.roles import Role
+from storage.errors import UnknownName
 from storage.records import Player
 
 SHOWN = (
     Column("opponent", no_wrap=True), Column("probability", decimals=3), Column("win_rate", "win rate", 3), "games",
     Column("read", decimals=3), Column("inherits", "win rate of", no_wrap=True),
 )  # fmt: skip
+
+
+def explained(opened: Open, name: str) -> dict[str, Any]:
+    """Return `explain_opponents` of a player of a league, and what it copies as `population` (None: nothing).
+
+    Raises UnknownName.
+    """
+    state = LeagueState.of(opened.store, opened.league)
+    player = next((p for p in state.players if p.name == name), None)
+    if player is None:
+        raise UnknownName("player", name, [p.name for p in state.players])
+    settings = opened.settings()
+    moved = read_hyperparameters(opened.store, settings, state).get(name)
+    copies = None if moved is None else copying(settings.copies_after, state, name, moved)
+    role, seed = settings.roles()(player.role), settings.get("seed", otherwise=1)
+    return explain_opponents(role, state, player, seed) | {"population": copies}
 
 
 def explain_opponents(role: Role, state: LeagueState, player: Player, seed: int = 1) -> dict[str, Any]:

@@ -32,6 +32,7 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
     if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
         return
     from league.training.learner_factory import new_learner
+    from league.training.setback import PlayerDiverged
 
     on_cpu = _on_cpu(config)
     kept = store.newest_checkpoints(config.league)
@@ -41,7 +42,7 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
         state = arrays.from_bytes(store.blobs.get(kept[player.name].digest))
         try:
             new_learner(on_cpu, arena, player).load(state)
-        except ValueError as error:
+        except (ValueError, PlayerDiverged) as error:
             raise ConfigError(
                 ("league",),
                 f"league {config.league!r} cannot go on with these settings of its learner: {player.name}: {error}; go"
@@ -51,12 +52,15 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
 
 def validate_start(store: Store | None, config: Config, arena: "Arena", players: list[Player]) -> None:
     """Raise ConfigError if a player cannot start from the networks that `after` names. Each network is tried."""
+    from agents.learner.happo import HappoLearner
     from league.training.learner_factory import new_learner
 
     found = warm_start.of(store, players, config.after, config.learner.critic_input)
     for player in players:
+        learner = new_learner(_on_cpu(config), arena, player)
+        assert isinstance(learner, HappoLearner)  # `validate` refuses others
         try:
-            warm_start.start(store, new_learner(_on_cpu(config), arena, player), found[player.name])
+            warm_start.start(store, learner, found[player.name])
         except StorageError as error:
             raise ConfigError(("after",), f"after: {player.name} of league {config.league!r} {error}") from None
 

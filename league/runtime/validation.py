@@ -6,9 +6,10 @@ Heavy imports are local, because fast commands also import this module.
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from agents.settings import HAPPO
 from arenas.contract.error_location import describe_error, source_files
 from league.config.experiment import Config
-from league.config.schema import ConfigError, Key, literal, refuse
+from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.state.team_exchange import as_made
 from league.system import devices, memory
@@ -49,6 +50,7 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     _validate_players(config, teams)
     _validate_ladder(config, arena)
     _validate_pbt(config, teams)
+    _validate_learners(config, arena)
     _validate_scripts(config, arena)
     _validate_device(config, arena)
     _validate_memory(config, arena)
@@ -184,6 +186,52 @@ def _validate_pbt(config: Config, teams: list[str]) -> None:
             message = f"the {role} players of {team} have networks of {' and '.join(map(literal, widths))}: who copies"
             message += " another needs its network, so give them the same"
             raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, message)
+
+
+def _validate_learners(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for a player's learner of another class that cannot be made, or cannot do what is asked."""
+    players = roster(config, [team.name for team in arena.teams])
+    classes = {p.name: p.class_ or config.learner.class_ for p in players}
+    own = [(i, p) for i, p in enumerate(players) if classes[p.name] != HAPPO]
+    if not own:
+        return
+    what = f"learner.class = {literal(classes[own[0][1].name])}"
+    if config.training.devices > 1:
+        raise refuse(("training", "devices"), config.training.devices, f"{what} learns on one device; use 1")
+    if config.training.pbt.ready is not None:
+        message = f"{what} has no hyperparameters that the league could move; leave it out"
+        raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, message)
+    if config.after:
+        raise ConfigError(("after",), f"after: {what} starts afresh, and takes over no networks of other leagues")
+    if config.training.schedule.kind == "ladder" and len(set(classes.values())) > 1:
+        message = "ladder copies what one player learns to the others, whose learners are of another class"
+        raise refuse(("training", "schedule", "kind"), "ladder", message)
+    for i, player in own:
+        _validate_learner(config, arena, i, player)
+
+
+def _validate_learner(config: Config, arena: "Arena", number: int, player: PlayerSettings) -> None:
+    """Make a player's learner of another class, and try its verbs; raises ConfigError."""
+    from league.training.learner_factory import new_learner
+    from league.training.own_learner import OwnLearner
+    from league.training.setback import PlayerDiverged
+
+    key = ("players", str(number), "class") if player.class_ is not None else ("learner", "class")
+    if config.role(player.role).reset == "main":
+        message = f"{player.name}'s role resets it to another player's policy, which only {HAPPO} takes over"
+        raise refuse(key, player.class_ or config.learner.class_, message)
+    for name in ("hidden", "lr"):
+        if getattr(player, name) is not None:
+            message = f"is a setting of {HAPPO}; give {player.name}'s learner its own in settings"
+            raise refuse(("players", str(number), name), getattr(player, name), message)
+    teams = [team.name for team in arena.teams]
+    row = Player(config.league, player.name, teams.index(player.team), player.role, "", player.group)
+    try:
+        made = new_learner(config, arena, row)
+        assert isinstance(made, OwnLearner)
+        made.try_out()
+    except PlayerDiverged as error:
+        raise ConfigError(key, f"{dotted(key)}: {error}") from None
 
 
 def scripts(config: Config, arena: "Arena") -> tuple[str, ...]:

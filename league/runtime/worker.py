@@ -160,7 +160,8 @@ class Worker:
     # Training --------------------------------------------------------------------------------------------------------
 
     def _train(self, lease: Lease, turn: TrainingTurn) -> None:
-        from league.training.trainer import PlayerDiverged, Trainer
+        from league.training.setback import PlayerDiverged
+        from league.training.trainer import Trainer
 
         trainer = self._trainer(turn)
         try:

@@ -16,7 +16,7 @@ import numpy as np
 from league.state.league_state import LeagueState
 from matchmaking.pbt import draw_partner, present_name
 from matchmaking.ratings.payoff import Score, quantile
-from matchmaking.schedule import turn_score
+from matchmaking.schedule import phase_score
 from storage.records import Meeting, Player, Snapshot
 
 if TYPE_CHECKING:  # a query reads no configuration
@@ -114,7 +114,7 @@ def _of_late(state: LeagueState, player: str) -> Score:
             turns[game.iteration].append(game)
     played = {at: sum(m.wins + m.draws + m.losses for m in met) for at, met in turns.items()}
     won = {at: sum(m.wins + m.draws / 2 for m in met) for at, met in turns.items()}
-    return turn_score([(played[at], won[at] / played[at]) for at in sorted(turns) if played[at]])
+    return phase_score([(played[at], won[at] / played[at]) for at in sorted(turns) if played[at]])
 
 
 # In a checkpoint -----------------------------------------------------------------------------------------------------

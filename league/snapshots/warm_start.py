@@ -25,7 +25,7 @@ from storage.records import Player, Snapshot
 from storage.store import Store
 
 if TYPE_CHECKING:
-    from agents.learner.happo import Learner
+    from agents.learner.happo import HappoLearner
 
 
 class Source(NamedTuple):
@@ -194,7 +194,7 @@ def _saw(store: Store | None, league: str) -> str:
     return str(learner.get("critic_input", "own"))
 
 
-def start(store: Store | None, learner: "Learner", sources: WarmStart) -> str | None:
+def start(store: Store | None, learner: "HappoLearner", sources: WarmStart) -> str | None:
     """Load the weights of a player's sources into a new learner, and return the name of the first source's checkpoint.
 
     Inputs that were constant during the earlier training are ignored at first
@@ -239,15 +239,15 @@ def _best(store: Store, league: str, player: str) -> tuple[Snapshot, str] | None
     return None if found is None else (found.snapshot, found.how(state))
 
 
-def thaw_into(learner: "Learner", frozen: bytes, known: Mapping[str, np.ndarray]) -> None:
+def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.ndarray]) -> None:
     """Give a learner the actors of a snapshot of its own roster.
 
     `known` has the number of decisions behind the statistics of observations (`checkpoint.observed`). Raises ValueError
-    as `Learner.load` does.
+    as `HappoLearner.load` does.
     """
     policies = arrays.from_bytes(frozen)
     state = {**_named(policies), **known}
-    if "sharing" in (own := learner.state()):
+    if "sharing" in (own := learner.save()):
         state["sharing"] = own["sharing"]
     learner.warm_start([(state, i) for i in range(len(learner.actors))], None)
 

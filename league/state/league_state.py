@@ -10,7 +10,7 @@ from league.state.void_rates import Voids
 from league.state.void_rates import found as voids_found
 from matchmaking.ratings.ladder import Ladder, Pool
 from matchmaking.ratings.payoff import Score
-from matchmaking.schedule import Schedule, turn_score
+from matchmaking.schedule import Schedule, phase_score
 from storage.records import (
     RATED_PURPOSES,
     ArenaKey,
@@ -66,7 +66,9 @@ class LeagueState:
     batches: Batches | None = None  # None before the first batch
     rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if `recent` > 0
     successes: Mapping[str, float] = field(default_factory=dict)  # player -> share of recent training episodes
-    scores: Mapping[str, Score] = field(default_factory=dict)  # of learners whose turn ends by a score: see turn_scores
+    scores: Mapping[str, Score] = field(
+        default_factory=dict
+    )  # of learners whose phase ends by a score: see phase_scores
     revision: int = -1  # of the store at the time of reading
     voids: Sequence[Voids] = ()  # shares of void episodes that deserve a warning
 
@@ -103,7 +105,7 @@ class LeagueState:
         return cls(
             players, snapshots, checkpoints, phases, jobs, *log[:4],
             [*before.meetings, *store.meetings(league, met)],
-            log.batches, *_averages(store, checkpoints, recent), turn_scores(store, phases), revision,
+            log.batches, *_averages(store, checkpoints, recent), phase_scores(store, phases), revision,
             voids_found(store, league, checkpoints),
         )  # fmt: skip
 
@@ -116,7 +118,7 @@ class LeagueState:
             checkpoints=checkpoints,
             phases=phases,
             jobs=store.jobs(league, ("queued", "leased", "failed")),
-            scores=turn_scores(store, phases),
+            scores=phase_scores(store, phases),
             voids=voids_found(store, league, checkpoints),
         )
 
@@ -169,14 +171,14 @@ class LeagueState:
         return len({player.team for player in self.players}) == 1
 
 
-def turn_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
+def phase_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
     """Return the recent score of each learner whose turn can end by a score, from its learning curve.
 
     The score counts training episodes of this turn, in all worlds from which the learner learns. They exist after each
     iteration, are stored with the checkpoint that resulted, and are the same on every machine if training is.
     """
     return {
-        learner: turn_score(episode_scores(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
+        learner: phase_score(episode_scores(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
         for phase in phases.values()
         if "score" in phase.until
         for learner in phase.learners

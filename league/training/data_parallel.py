@@ -228,7 +228,7 @@ def _obey(store: Store, trainer: "Trainer", pipe: Connection) -> None:
 
 def _as_message(error: Exception, rank: int) -> tuple[type[Exception], tuple, dict[str, Any]]:
     """Return an error in a form for another process; if that process may not know its class, as text."""
-    from league.training.trainer import PlayerDiverged
+    from league.training.setback import PlayerDiverged
 
     if isinstance(error, StorageError | PlayerDiverged | TooLarge):
         return type(error), error.args, vars(error)

@@ -10,16 +10,20 @@ from agents.batch import Batch
 from agents.bridge import CriticMemories, common_critic_size, team_batch
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.learner import checkpoint
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.rollout.rollout import Trajectory
-from agents.settings import HappoConfig
+from agents.settings import HAPPO, HappoConfig
 from arenas.arena import Arena
+from arenas.arena_settings import Table
 from arenas.state import TeamSpec
 from league.config.experiment import Config
 from league.config.sections import named_players
 from league.snapshots import warm_start
+from league.training.own_learner import LearnerSource, OwnLearner
 from storage.records import Player, Snapshot
 from storage.store import Store
+
+AnyLearner = HappoLearner | OwnLearner
 
 
 def settings_of(config: Config, player: Player) -> HappoConfig:
@@ -30,6 +34,9 @@ def settings_of(config: Config, player: Player) -> HappoConfig:
             settings = replace(settings, architecture=replace(settings.architecture, hidden=own.hidden))
         if own.lr is not None:
             settings = replace(settings, lr=own.lr, critic_lr=own.lr)
+        same = own.class_ in (None, settings.class_)
+        given = Table({**(settings.settings if same else {}), **own.settings})
+        settings = replace(settings, class_=own.class_ or settings.class_, settings=given)
     return settings
 
 
@@ -39,36 +46,54 @@ def new_learner(
     player: Player,
     comm: Communicator = SINGLE_PROCESS,
     moved: Mapping[str, float] | None = None,
-) -> Learner:
-    """Make a player's learner with its own seed and settings, and with the hyperparameters that have `moved`."""
-    agents = arena.teams[player.team].agents
+) -> AnyLearner:
+    """Make a player's learner with its own seed and settings, and with the hyperparameters that have `moved`.
+
+    Raises PlayerDiverged if it is of a class that cannot be found or made.
+    """
     settings = replace(settings_of(config, player), **(moved or {}))
     seed = crc32(f"{config.seed}/{player.name}".encode())
+    if settings.class_ != HAPPO:
+        team, device = arena.teams[player.team], config.training.device
+        return OwnLearner(player.name, LearnerSource(settings.class_, settings.settings, team, seed, device))
+    return _new_happo_learner(config, arena, player, settings, seed, comm)
+
+
+def _new_happo_learner(
+    config: Config, arena: Arena, player: Player, settings: HappoConfig, seed: int, comm: Communicator
+) -> HappoLearner:
+    agents = arena.teams[player.team].agents
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
     other_sizes = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]
     kinds, sees = [a.kind for a in agents], settings.critic_input
     critic_size = {"privileged": sum(sizes[0]) + arena.privileged_size, "same": common_critic_size(arena.teams)}.get(
         sees, 0
     )
-    return Learner(*sizes, settings, seed, config.training.device, kinds, other_sizes, critic_size, comm)
+    return HappoLearner(*sizes, settings, seed, config.training.device, kinds, other_sizes, critic_size, comm)
 
 
 def reset_learner(
-    learner: Learner, config: Config, arena: Arena, player: Player, store: Store, source: Snapshot, iteration: int,
+    learner: AnyLearner, config: Config, arena: Arena, player: Player, store: Store, source: Snapshot, iteration: int,
     comm: Communicator = SINGLE_PROCESS,
 ) -> None:  # fmt: skip
     """Reset a player's learner to the actors of a snapshot and an otherwise initial state with a new random seed.
 
     The normalisation statistics of observations count as many decisions as the snapshot has learnt from. The first
-    policy of a league that follows another one brings its statistics along, which keep their present count.
+    policy of a league that follows another one brings its statistics along, which keep their present count. A learner
+    of another class becomes as new: `validate_learners` allows it no other reset.
     """
     fresh = new_learner(config, arena, player, comm)
-    known = checkpoint.observed(learner.state())
+    seed = crc32(f"{config.seed}/{player.name}/{iteration}".encode())
+    if isinstance(learner, OwnLearner) or isinstance(fresh, OwnLearner):
+        learner.load(fresh.save())
+        learner.reseed(seed)
+        return
+    known = checkpoint.observed(learner.save())
     if not (source.initial and config.after):
         known = {name: np.full_like(counts, source.step) for name, counts in known.items()}
     warm_start.thaw_into(fresh, store.blobs.get(source.digest), known)
-    learner.load(fresh.state())
-    learner.rng.manual_seed(crc32(f"{config.seed}/{player.name}/{iteration}".encode()))
+    learner.load(fresh.save())
+    learner.reseed(seed)
 
 
 def batch_of(

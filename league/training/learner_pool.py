@@ -4,20 +4,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from zlib import crc32
 
+import numpy as np
+
+from agents.bridge import to_jax
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
+from agents.learner.happo import HappoLearner
+from agents.policy.host_policy import HostPolicy
+from agents.policy.jax_policy import policy_params
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.scheduling import player_resets, population
-from league.snapshots.codec import freeze
+from league.snapshots.codec import Policy, freeze
 from league.state.jobs import TrainingTurn
 from league.training import reward_shaping
 from league.training.learner_factory import new_learner, reset_learner, settings_of
+from league.training.own_learner import OwnLearner
 from league.training.update_pool import UpdatePool
 from matchmaking.pbt import explore
 from matchmaking.roles import Role
 from storage.blobs import arrays
 from storage.records import ArenaKey, Checkpoint, Meeting, Player, Snapshot
 from storage.store import Store
+
+ITERATION = "iteration"  # in the checkpoint of a learner of another class
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,10 @@ class LearnerPool:
         """
         rest = [name for name in turn.present if name and name not in turn.learners and self.role(name).learns]
         return [name for name in rest if self.players[name].paused is None]
+
+    def judges(self, name: str) -> bool:
+        """Return whether a player has a critic of our own, which can learn apart from its policy and judge episodes."""
+        return isinstance(self.learners[name], HappoLearner)
 
     def spent(self, turn: TrainingTurn) -> bool:
         """Return whether the group has used up its budget; `LeagueState.spent` computes the same from the store."""
@@ -109,13 +122,15 @@ class LearnerPool:
         if annealing := self._annealing[name]:
             annealing.load(state)
         if retry:
-            self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{retry}".encode()))
+            self.learners[name].reseed(crc32(f"{self.config.seed}/{name}/{retry}".encode()))
 
     def checkpoint(self, store: Store, name: str, key: ArenaKey) -> Checkpoint:
         """Return the row of a player's present checkpoint; its bytes are stored, and the row is still to be written."""
         at, annealing = self.counters[name], self._annealing[name]
         moved = population.written(self.moved(name))
-        state = self.learners[name].state() | moved | (annealing.state() if annealing else {})
+        state = self.learners[name].save() | moved | (annealing.state() if annealing else {})
+        if isinstance(self.learners[name], OwnLearner):  # it may have learnt nothing, and each checkpoint has a digest
+            state |= {ITERATION: np.array(at.iteration)}
         digest = store.blobs.put(arrays.to_bytes(state))
         return Checkpoint(self.league, name, digest, at.steps, at.iteration, at.seconds, key)
 
@@ -125,18 +140,38 @@ class LearnerPool:
 
     def freeze(self, name: str) -> bytes:
         """Encode a player's present actors as bytes, which later updates cannot change."""
-        policies = self.learners[name].policies()
-        return freeze([{key: tensor.cpu().numpy() for key, tensor in policy.items()} for policy in policies])
+        learner = self.learners[name]
+        if isinstance(learner, OwnLearner):
+            policies = learner.export()
+            return policies if isinstance(policies, bytes) else freeze(policies)
+        return freeze([{key: tensor.cpu().numpy() for key, tensor in policy.items()} for policy in learner.export()])
+
+    def ways(self, name: str) -> list[list[Policy]]:
+        """Return all forms of policies by which a player's agents may act, now or as a snapshot."""
+        own = isinstance(self.learners[name], OwnLearner)
+        return [self.acting(name, learns) for learns in ((True, False) if own else (True,))]
+
+    def acting(self, name: str, learns: bool = True) -> list[Policy]:
+        """Return the policies by which a player's agents act in the next rollout, in which it learns or only plays."""
+        learner = self.learners[name]
+        if isinstance(learner, HappoLearner):
+            return [*to_jax(learner.act())]
+        found = learner.act() if learns else learner.play()
+        return [each if isinstance(each, HostPolicy) else policy_params(each) for each in found]
 
     # Going on from others --------------------------------------------------------------------------------------------
 
     def take_over(self, name: str, source: str) -> None:
         """Copy another player's actors to a player, and its shaping weight if it follows success and is lower.
 
-        The player keeps its critic, optimisers and random numbers.
+        The player keeps its critic, optimisers and random numbers. A learner of another class, which must be that of
+        both, takes over the whole state.
         """
-        state, agents = self.learners[source].state(), len(self.learners[name].actors)
-        self.learners[name].warm_start([(state, i) for i in range(agents)], None)
+        learner, state = self.learners[name], self.learners[source].save()
+        if isinstance(learner, OwnLearner):
+            learner.load(state)
+        else:
+            learner.warm_start([(state, i) for i in range(len(learner.actors))], None)
         mine, other = self._annealing[name], self._annealing[source]
         if mine and other:
             mine.follow(other)
@@ -154,7 +189,7 @@ class LearnerPool:
             pbt = self.config.training.pbt
             self._move(name, explore(self.moved(name), other_values, self._initial_values(name), pbt, rng))
             self.learners[name].load(state)
-            self.learners[name].rng.manual_seed(crc32(f"{self.config.seed}/{name}/{at}/copy".encode()))
+            self.learners[name].reseed(crc32(f"{self.config.seed}/{name}/{at}/copy".encode()))
             other = self._new_annealing()
             if (mine := self._annealing[name]) and other:
                 other.load(state)
@@ -163,7 +198,8 @@ class LearnerPool:
 
     def moved(self, name: str) -> dict[str, float]:
         """Return the present values of a player's movable hyperparameters."""
-        return population.hyperparameters(self.learners[name].config, self._movable)
+        learner = self.learners[name]
+        return {} if isinstance(learner, OwnLearner) else population.hyperparameters(learner.config, self._movable)
 
     def _initial_values(self, name: str) -> dict[str, float]:
         """Return the values of the movable hyperparameters in the player's settings."""

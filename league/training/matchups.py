@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from agents.policy.jax_policy import Params, PolicyStack
+from agents.policy.jax_policy import PolicyStack
 from arenas.arena import Arena
 from league.snapshots.codec import Policy, seat, thaw
 from league.state.jobs import TrainingTurn
@@ -50,7 +50,7 @@ class Matchups:
         self._past: dict[str, list[Policy]] = {name: thaw(store, past, arena) for name, past in self.past.items()}
 
     def stacks(
-        self, now: Mapping[str, Sequence[Params]], also: Mapping[str, Sequence[Params]], groups: int | None = None
+        self, now: Mapping[str, Sequence[Policy]], also: Mapping[str, Sequence[Policy]], groups: int | None = None
     ) -> dict[str, PolicyStack]:
         """Return stacked policies by agent name, for the first `groups` of worlds (None: all).
 

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from agents.batch import Batch
-from agents.bridge import CriticMemories, scatter_memories, to_jax
+from agents.bridge import CriticMemories, scatter_memories
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.errors import Diverged
 from agents.learner.learner_state import check_ranks_agree
@@ -33,6 +33,7 @@ from league.system.gpu_sharing import Turns
 from league.training.learner_factory import batch_of
 from league.training.learner_pool import Counters, LearnerPool
 from league.training.matchups import Matchups
+from league.training.setback import PlayerDiverged
 from league.training.training_programs import TrainingPrograms
 from league.training.training_recorder import TrainingRecorder
 from league.training.turn_end import TurnFinalizer
@@ -47,14 +48,6 @@ class Progress(NamedTuple):
     counters: Mapping[str, Counters]  # of the learners
     steps_per_second: float  # in this turn, learning included
     points: tuple[CurvePoint, ...]  # of this iteration
-
-
-class PlayerDiverged(Exception):  # noqa: N818  (a sentence: "the player diverged")
-    """A player's learning diverged; the store still holds its last good checkpoint."""
-
-    def __init__(self, player: str, reason: object):
-        super().__init__(f"{player} diverged: {reason}")
-        self.player = player
 
 
 class Trainer:
@@ -204,7 +197,7 @@ class Trainer:
             if isinstance(losses, Diverged):
                 diverged[name] = losses
             elif name in figures:
-                if not losses:
+                if not losses:  # of a batch that is void as a whole
                     diverged.setdefault("", f"physics became unstable in every world of {name}")
                 figures[name] |= {**losses, "past_share": matchups.past_share(name)}
         if "" in diverged and len(diverged) == 1:
@@ -217,7 +210,7 @@ class Trainer:
     def _judges(self, turn: TrainingTurn, matchups: Matchups) -> list[str]:
         """Return the players whose critics learn in the turn: the learners, then the resting players."""
         resting = self.pool.resting(turn) if self.config.training.resting_critics else []
-        return [*turn.learners, *(name for name in resting if matchups.teaches(name))]
+        return [*turn.learners, *(name for name in resting if matchups.teaches(name) and self.pool.judges(name))]
 
     def _recall(self, names: Sequence[str], matchups: Matchups) -> None:
         """Keep the critics' memory of the worlds that they have just learnt from, for the rollout that continues there.
@@ -251,14 +244,15 @@ class Trainer:
         return CurvePoint(self.pool.players[name].league, name, now.iteration, now.steps, now.seconds, values)
 
     def _crews(self, matchups: Matchups, groups: int | None = None) -> dict[str, PolicyStack]:
-        now = {name: to_jax(self.pool.learners[name].policies()) for name in matchups.turn.present if name}
+        turn = matchups.turn
+        now = {name: self.pool.acting(name, name in turn.learners) for name in turn.present if name}
         return matchups.stacks(now, self._shapes, groups)
 
     def _architectures(self) -> dict[str, list]:
         """Return, by agent, the actors of all players of its team, so that the compiled shapes fit each of them."""
-        actors = {name: to_jax(learner.policies()) for name, learner in self.pool.learners.items()}
+        ways = {name: self.pool.ways(name) for name in self.pool.learners}
         return {
-            agent.name: [actors[p.name][i] for p in self.pool.players.values() if p.team == t]
+            agent.name: [way[i] for p in self.pool.players.values() if p.team == t for way in ways[p.name]]
             for t, team in enumerate(self.arena.teams)
             for i, agent in enumerate(team.agents)
         }

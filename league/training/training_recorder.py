@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from agents.bridge import evaluation_trajectory
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import PolicyStack
 from agents.rollout.rollout import PlayedEpisodes, make_play
 from arenas.arena import Arena
@@ -129,6 +130,8 @@ class TrainingRecorder:
             if not name:
                 continue
             learner = self.pool.learners[name]
+            if not isinstance(learner, HappoLearner):
+                continue
             batch = batch_of(self.config, arena, self.pool.players[name], trajectory)
             values = [each[:, 0].float().cpu().numpy() for each in learner.values(batch)]
             own = self.config.learner.method == "ippo"

@@ -7,6 +7,7 @@ transaction (`league/training/trainer.py`).
 from collections.abc import Sequence
 from functools import cached_property
 
+from agents.learner.happo import HappoLearner
 from league.config import experiment as configuration
 from league.scheduling import player_resets
 from league.snapshots import warm_start
@@ -14,7 +15,7 @@ from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState, episode_scores
 from league.system.provenance import made_by
 from league.training.learner_pool import Counters, LearnerPool
-from matchmaking.schedule import LearningCounts, next_due, remaining, turn_score
+from matchmaking.schedule import LearningCounts, next_due, phase_score, remaining
 from storage.records import ArenaKey, CurvePoint, Meeting, Phase, Player, Snapshot
 from storage.store import Store
 
@@ -63,7 +64,7 @@ class TurnFinalizer:
         at = {name: LearningCounts(c.iteration, c.steps) for name, c in self.pool.counters.items()}
         if "score" in phase.until:
             (learner,) = phase.learners
-            low = turn_score(episode_scores([*self._earlier, *points])).low
+            low = phase_score(episode_scores([*self._earlier, *points])).low
             at[learner] = at[learner]._replace(low=low)
         return remaining(phase, at) == 0
 
@@ -82,8 +83,10 @@ class TurnFinalizer:
         config, players = self.config, list(self.pool.players.values())
         if config.after:
             found = warm_start.of(store, players, config.after, config.learner.critic_input)
-            learners = self.pool.learners
-            self._parents = {name: warm_start.start(store, learners[name], found[name]) for name in self.turn.learners}
+            for name in self.turn.learners:
+                learner = self.pool.learners[name]
+                assert isinstance(learner, HappoLearner)  # others were refused
+                self._parents[name] = warm_start.start(store, learner, found[name])
 
     def close(self, store: Store, points: Sequence[CurvePoint], meetings: Sequence[Meeting]) -> bool:
         """Make the copies and resets that follow from the turn's learning curves and games.

@@ -27,10 +27,11 @@ from torch.utils import _pytree as pytree
 
 from agents.batch import Batch
 from agents.errors import Diverged
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.learner.learner_state import LearnerSpec
 from arenas.physics.cpu import cores
 from league.system.provenance import import_path
+from league.training.own_learner import OwnLearner
 
 PATIENCE = 3.0  # seconds of updates
 LARGEST = 64 * 2**20  # bytes of a batch for a worker: it is in memory three times then, which no estimate counts
@@ -43,7 +44,7 @@ Found = dict[str, float] | Diverged
 class UpdateRequest(NamedTuple):
     """An update to make: the learner, its batch, and whether its policy rests."""
 
-    learner: Learner
+    learner: HappoLearner | OwnLearner
     batch: Batch
     rests: bool = False  # the critic alone learns
 
@@ -57,9 +58,12 @@ class UpdateExecutor(Protocol):
 
 
 def run_inline(request: UpdateRequest) -> Found:
-    """Make an update in this thread."""
+    """Make an update in this thread. Raises PlayerDiverged for a learner of another class."""
+    learner = request.learner
     try:
-        return (request.learner.update_critic_only if request.rests else request.learner.update)(request.batch)
+        if request.rests and isinstance(learner, HappoLearner):
+            return learner.update_critic_only(request.batch)
+        return learner.learn(request.batch)
     except Diverged as error:
         return error
 
@@ -67,13 +71,13 @@ def run_inline(request: UpdateRequest) -> Found:
 class UpdatePool:
     """Executors of the updates of a process's learners. The result does not depend on the executor."""
 
-    def __init__(self, learners: Sequence[Learner]):
-        # One thread for a GPU, which one update keeps busy, and for ranks, whose collectives must keep their order.
-        free = all(learner.device.type == "cpu" and learner.comm.size == 1 for learner in learners)
+    def __init__(self, learners: Sequence[HappoLearner | OwnLearner]):
+        # One thread for a GPU, which one update keeps busy, for ranks, whose collectives must keep their order, and for
+        # learners of other classes, which may use torch's global random numbers.
+        ours = [learner for learner in learners if isinstance(learner, HappoLearner)]
+        free = len(ours) == len(learners) and all(each.device.type == "cpu" and each.comm.size == 1 for each in ours)
         self._most = min(cores(), len(learners)) if free else 1
-        self._may_start_workers = not any(
-            learner.config.compiled for learner in learners
-        )  # a worker would compile again
+        self._may_start_workers = not any(learner.config.compiled for learner in ours)  # a worker would compile again
         self._threads = ThreadPoolExecutor(self._most, "update")
         self.workers: list[UpdateWorker] = []
         self._seconds = 0.0
@@ -141,9 +145,10 @@ class UpdateWorker:
     def __call__(self, request: UpdateRequest) -> Found:
         """Make an update in the worker, or in this thread if the worker has died; then nothing has changed yet."""
         learner = request.learner
+        assert isinstance(learner, HappoLearner)  # with others there are no workers
         arrays = pytree.tree_map_only(Tensor, lambda x: x.numpy(), request.batch)
         try:
-            self._pipe.send((learner.spec, learner.state(), arrays, request.rests))
+            self._pipe.send((learner.spec, learner.save(), arrays, request.rests))
         except OSError:
             self._gone = True
         heard = None if self._gone else self._hear()
@@ -178,18 +183,18 @@ def serve_updates(pipe: int, threads: int) -> None:
     either may change the last digit of a sum.
     """
     torch.set_num_threads(threads)
-    learners: dict[LearnerSpec, Learner] = {}
+    learners: dict[LearnerSpec, HappoLearner] = {}
     try:
         with Connection(pipe) as heard:
             heard.send("ready")
             while True:
                 spec, state, arrays, rests = heard.recv()
                 if spec not in learners:
-                    learners[spec] = Learner(*spec)
+                    learners[spec] = HappoLearner(*spec)
                 learner = learners[spec]
                 learner.load(state)
                 batch = pytree.tree_map_only(np.ndarray, torch.tensor, arrays)
                 found = run_inline(UpdateRequest(learner, batch, rests))
-                heard.send((found, learner.state(), [x.numpy() for x in learner.final_memories]))
+                heard.send((found, learner.save(), [x.numpy() for x in learner.final_memories]))
     except (EOFError, OSError):
         os._exit(0)

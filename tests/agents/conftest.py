@@ -8,7 +8,7 @@ import torch
 
 import arenas
 from agents.batch import Batch, Sequences
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.networks import Actor, SquashedGaussian
 from agents.rollout.rollout import make_rollout
 from agents.settings import Architecture
@@ -30,7 +30,7 @@ def scrambled_actor(seed: int, architecture: Architecture, observations: int = 2
     return actor
 
 
-def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float = 0.0) -> Batch:
+def make_batch(learner: HappoLearner, seed: int, T: int = 8, N: int = 6, void: float = 0.0) -> Batch:
     """Random experience whose actions come from the learner's actors; stale by up to 30 % in density.
 
     Recurrent actors remember it as they should; what was before the first decision they remember too.
@@ -62,7 +62,7 @@ def make_batch(learner: Learner, seed: int, T: int = 8, N: int = 6, void: float 
     return Batch(observations, following, actions, log_probs, alive, alive, normal(T, N) + 2.0, *kinds)
 
 
-def remembered_batch(learner: Learner, seed: int, T: int, N: int, void: float) -> Batch:
+def remembered_batch(learner: HappoLearner, seed: int, T: int, N: int, void: float) -> Batch:
     """The same of recurrent actors, one decision after the other."""
     rng, chunk, units = (
         torch.Generator().manual_seed(seed),

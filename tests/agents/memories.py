@@ -3,14 +3,14 @@
 import torch
 from torch import Tensor
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.networks import GRU
 from agents.settings import HappoConfig
 
 
-def scrambled(config: HappoConfig, seed: int = 0, sizes: tuple[list[int], list[int]] = ([2], [1])) -> Learner:
+def scrambled(config: HappoConfig, seed: int = 0, sizes: tuple[list[int], list[int]] = ([2], [1])) -> HappoLearner:
     """A learner whose every weight counts, so that what it remembers shows."""
-    learner, rng = Learner(*sizes, config, seed), torch.Generator().manual_seed(seed)
+    learner, rng = HappoLearner(*sizes, config, seed), torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for each in (*learner.actor_learners, *learner.critic_learners):
             for weights in each.network.parameters():

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Architecture, HappoConfig
 
 PLAIN = HappoConfig(
@@ -18,12 +18,12 @@ FULL = replace(
 )
 
 
-def new_learner(agents: int, config: HappoConfig = PLAIN, seed: int = 0) -> Learner:
+def new_learner(agents: int, config: HappoConfig = PLAIN, seed: int = 0) -> HappoLearner:
     """Of a team of up to three, all of them unlike."""
-    return Learner([4, 3, 5][:agents], [2, 1, 3][:agents], config, seed)
+    return HappoLearner([4, 3, 5][:agents], [2, 1, 3][:agents], config, seed)
 
 
-def critic_of(learner: Learner) -> torch.nn.Module:
+def critic_of(learner: HappoLearner) -> torch.nn.Module:
     return learner.critic_learners[0].network
 
 
@@ -60,7 +60,7 @@ def ppo(actor: torch.nn.Module, obs: Tensor, actions: Tensor, old: Tensor, A: Te
     return clipped
 
 
-def standardised_advantage(learner: Learner, batch) -> Tensor:
+def standardised_advantage(learner: HappoLearner, batch) -> Tensor:
     with torch.no_grad():
         A = (batch.rewards - critic_of(learner)(torch.cat(list(batch.observations), -1))).flatten()
     return (A - A.mean()) / (A.std(correction=0) + 1e-5)

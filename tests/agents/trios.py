@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Architecture, HappoConfig
 
 PLAIN = HappoConfig(
@@ -13,6 +13,6 @@ FULL = replace(PLAIN, gamma=0.97, minibatches=3, value_norm=True, normalise_obse
 EQUAL = {"observation_sizes": [4, 4, 3], "action_sizes": [2, 2, 1]}  # two equal robots and another
 
 
-def new_learner(config: HappoConfig, seed: int = 0, **where) -> Learner:
+def new_learner(config: HappoConfig, seed: int = 0, **where) -> HappoLearner:
     """Of such a team."""
-    return Learner(**EQUAL, config=config, seed=seed, **where)
+    return HappoLearner(**EQUAL, config=config, seed=seed, **where)

@@ -8,7 +8,7 @@ import torch
 from torch.utils import _pytree as pytree
 
 from agents.batch import Batch, CriticView
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Architecture, HappoConfig
 
 BASE = HappoConfig(
@@ -59,9 +59,9 @@ def with_sides(batch: Batch, critic_views: int, size: int = SIGHT, seed: int = 1
     return batch._replace(critic_views=[side(number) for number in range(critic_views)])
 
 
-def experienced(experience: Callable[..., Batch], learner: Learner, seed: int, N: int) -> Batch:
+def experienced(experience: Callable[..., Batch], learner: HappoLearner, seed: int, N: int) -> Batch:
     """A batch with void decisions and agents that are out of the game."""
-    cpu = Learner([4, 4, 3], [2, 2, 1], replace(learner.config, cuda_graphs=False), 3, critic_size=SIGHT)
+    cpu = HappoLearner([4, 4, 3], [2, 2, 1], replace(learner.config, cuda_graphs=False), 3, critic_size=SIGHT)
     batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
     alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
     batch = batch._replace(alive=alive[:3], next_alive=alive[3:])

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from matchmaking.schedule import LearningCounts, Schedule, first_phase, next_due, next_phase, remaining, turn_score
+from matchmaking.schedule import LearningCounts, Schedule, first_phase, next_due, next_phase, phase_score, remaining
 
 TEAMS = {0: "blue", 1: "red", 2: "gold"}
 
@@ -71,12 +71,12 @@ def test_a_turn_ends_when_its_learner_surely_scores_enough_or_at_its_cap():
 
 
 def test_a_turns_score_is_that_of_its_newest_500_episodes_and_says_how_sure_it_is():
-    assert turn_score([(400, 0.1), (300, 0.8), (200, 0.7)])[::3] == (0.76, 500)
-    assert turn_score([(300, 0.8), (199, 0.7), (1, 0.0)])[3] == 500
-    few, many = turn_score([(10, 0.9)]), turn_score([(500, 0.9)])
+    assert phase_score([(400, 0.1), (300, 0.8), (200, 0.7)])[::3] == (0.76, 500)
+    assert phase_score([(300, 0.8), (199, 0.7), (1, 0.0)])[3] == 500
+    few, many = phase_score([(10, 0.9)]), phase_score([(500, 0.9)])
     assert few.low < 0.7 < many.low < 0.9  # Wilson's: 0.596 and 0.871
     assert (few.low, many.low) == pytest.approx((0.5958, 0.8706), abs=1e-3)
-    assert turn_score([])[1:4] == (0.0, 1.0, 0)
+    assert phase_score([])[1:4] == (0.0, 1.0, 0)
 
 
 def test_a_turn_that_has_begun_ends_as_it_was_meant_to_when_it_began():

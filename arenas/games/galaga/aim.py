@@ -20,6 +20,7 @@ from arenas.games.galaga.match import CONTACTS, ROWS, laser, zone
 from arenas.games.galaga.observation import ObservationBuilder
 from arenas.games.galaga.observation_layout import parts, size
 from arenas.games.galaga.stages import AimSettings
+from arenas.games.terms import weights_of
 from arenas.physics.engine import Physics
 from arenas.robots.minitank import from_x, minitank
 from arenas.robots.robot import Script
@@ -42,7 +43,7 @@ class Aim(Arena):
             marker_kinds={"laser": "segment", "target": "sphere"}, **options,
         )  # fmt: skip
         self.rules, self.randomisation = rules, settings.randomisation
-        self.weights = asdict(settings.reward)
+        self.weights = weights_of(settings.reward)
         self.randomisation.check(self.scene)
         self.observation_builder, self._at = (
             ObservationBuilder(settings.slots, settings.buffer),

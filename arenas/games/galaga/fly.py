@@ -21,6 +21,7 @@ from arenas.games.galaga.match import CONTACTS, ROWS, drone_robot, walls
 from arenas.games.galaga.observation import ObservationBuilder
 from arenas.games.galaga.observation_layout import parts, size
 from arenas.games.galaga.stages import FlySettings
+from arenas.games.terms import weights_of
 from arenas.physics.engine import Physics
 from arenas.robots.robot import Script
 from arenas.scene.starts import upright_poses
@@ -43,7 +44,7 @@ class Fly(Arena):
             marker_kinds={"goal": "ball", "drone": "sphere"}, **options,
         )  # fmt: skip
         self.rules, self.randomisation = rules, settings.randomisation
-        self.weights = asdict(settings.reward)
+        self.weights = weights_of(settings.reward)
         self.randomisation.check(self.scene)
         self.observation_builder, self._at = (
             ObservationBuilder(settings.slots, settings.buffer),

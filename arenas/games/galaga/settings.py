@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, Unpack
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.galaga.observation_layout import Slots, size
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class GalagaRules:
 
 
 @dataclass(frozen=True)
-class GalagaReward:
+class GalagaReward(RewardTerms):
     """Weights of the reward's terms; `aim` and `approach` are shaping that training.shaping_steps anneals."""
 
     hit: float = 1.0
@@ -139,7 +140,7 @@ PAIRS = GalagaRules(
 
 
 @dataclass(frozen=True)
-class GalagaSettings:
+class GalagaSettings(WithTerms):
     """A game of 3D Galaga: numbers of robots, rules, observations and rewards."""
 
     name: str = "galaga-1v1"
@@ -199,7 +200,7 @@ class GalagaSettings:
         """Build the arena."""
         from arenas.games.galaga.match import Galaga
 
-        return Galaga(self, **options)
+        return with_terms(Galaga(self, **options), self)
 
 
 def timing(episode: float) -> Timing:

@@ -11,6 +11,7 @@ from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.galaga.observation_layout import Slots, size
 from arenas.games.galaga.settings import ACTION_SIZES, PAIRS, Area, GalagaRules, check_walls, timing
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class AimRules:
 
 
 @dataclass(frozen=True)
-class AimReward:
+class AimReward(RewardTerms):
     """Weights of the reward's terms; none is annealed."""
 
     hit: float = 1.0
@@ -57,7 +58,7 @@ class AimReward:
 
 
 @dataclass(frozen=True)
-class AimSettings:
+class AimSettings(WithTerms):
     """A single tank that must point at a target in time."""
 
     name: str = "galaga-aim-1v1"
@@ -88,7 +89,7 @@ class AimSettings:
         """Build the arena."""
         from arenas.games.galaga.aim import Aim
 
-        return Aim(self, **options)
+        return with_terms(Aim(self, **options), self)
 
 
 # A drone that flies ---------------------------------------------------------------------------------------------------
@@ -115,7 +116,7 @@ class FlyRules:
 
 
 @dataclass(frozen=True)
-class FlyReward:
+class FlyReward(RewardTerms):
     """Weights of the reward's terms; none is annealed."""
 
     reached: float = 5.0
@@ -133,7 +134,7 @@ class FlyReward:
 
 
 @dataclass(frozen=True)
-class FlySettings:
+class FlySettings(WithTerms):
     """A single drone that must fly to a point in time."""
 
     name: str = "galaga-fly-1v1"
@@ -175,7 +176,7 @@ class FlySettings:
         """Build the arena."""
         from arenas.games.galaga.fly import Fly
 
-        return Fly(self, **options)
+        return with_terms(Fly(self, **options), self)
 
 
 PAPER_AIM = AimReward(hit=0.0, progress=0.0, aim=1.0)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Unpack
 
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 
 if TYPE_CHECKING:
     from arenas.games.matrix.match import MatrixGame
@@ -58,13 +59,20 @@ class MatrixRules:
 
 
 @dataclass(frozen=True)
-class MatrixSettings:
+class MatrixReward(RewardTerms):
+    """The reward is the payoff, and what terms of your own add to it."""
+
+
+@dataclass(frozen=True)
+class MatrixSettings(WithTerms):
     """A game without bodies, for leagues with a known solution: the uniform mixture cannot be beaten."""
 
     name: str = "rock-paper-scissors"
     """The arena's name."""
     rules: MatrixRules = field(default_factory=MatrixRules)
     """Rules that decide a match."""
+    reward: MatrixReward = field(default_factory=MatrixReward)
+    """Rewards for learning."""
 
     @property
     def timing(self) -> Timing:
@@ -84,7 +92,7 @@ class MatrixSettings:
         """Build the arena. It needs no engine and accepts any engine's name."""
         from arenas.games.matrix.match import MatrixGame
 
-        return MatrixGame(self, **options)
+        return with_terms(MatrixGame(self, **options), self)
 
 
 ARENAS = tuple(MatrixSettings(table, MatrixRules(table)) for table in TABLES)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 
 if TYPE_CHECKING:
     from arenas.games.pursuit.match import Pursuit
@@ -49,7 +50,7 @@ class PursuitRules:
 
 
 @dataclass(frozen=True)
-class PursuitReward:
+class PursuitReward(RewardTerms):
     """Rewards, which shape learning and never decide a game: one team's gain is the other's loss."""
 
     capture: float = 1.0
@@ -62,7 +63,7 @@ class PursuitReward:
 
 
 @dataclass(frozen=True)
-class PursuitSettings:
+class PursuitSettings(WithTerms):
     """A pursuit: numbers of predators and prey, and the rules."""
 
     name: str = "pursuit"
@@ -134,7 +135,7 @@ class PursuitSettings:
         """Build the arena."""
         from arenas.games.pursuit.match import Pursuit
 
-        return Pursuit(self, **options)
+        return with_terms(Pursuit(self, **options), self)
 
 
 ARENAS = (PursuitSettings(),)

@@ -51,7 +51,7 @@ class Drill(Arena):
         )  # fmt: skip
         self.rules, self.randomisation, self.weights = rules, settings.randomisation, asdict(settings.reward)
         self.randomisation.check(self.scene)
-        self.pitch = Pitch(self.scene, self.robots, rules, DROPPED if rules.defects.dropped else {})
+        self.pitch = Pitch(self.scene, self.robots, (settings.robot,), rules, DROPPED if rules.defects.dropped else {})
         self._observation_builder = ObservationBuilder(self.robots, [[PLAYER]], rules.goal_at, settings.buffer)
 
     def observation_size(self, agent: str) -> int:
@@ -182,4 +182,4 @@ class Drill(Arena):
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return the scripts of matches."""
-        return scripts.of_soccer({robot.kind for robot in self.robots.values()}, CONTROL, self.rules)
+        return scripts.of_soccer(self.robots.values(), CONTROL, self.rules)

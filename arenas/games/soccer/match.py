@@ -57,7 +57,9 @@ class Soccer(Arena):
         )  # fmt: skip
         self.rules, self.weights, self.randomisation = rules, settings.reward, settings.randomisation
         self.randomisation.check(self.scene)
-        self.pitch = Pitch(self.scene, self.robots, rules, DROPPED if rules.defects.dropped else {})
+        self.pitch = Pitch(
+            self.scene, self.robots, settings.blue + settings.red, rules, DROPPED if rules.defects.dropped else {}
+        )
         names, blue = list(self.robots), len(settings.blue)
         self._sides = slice(0, blue), slice(blue, len(names))
         self._observation_builder = ObservationBuilder(
@@ -178,4 +180,4 @@ class Soccer(Arena):
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return a striker, a keeper and a robot that chases the ball."""
-        return scripts.of_soccer({robot.kind for robot in self.robots.values()}, CONTROL, self.rules)
+        return scripts.of_soccer(self.robots.values(), CONTROL, self.rules)

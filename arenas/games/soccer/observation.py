@@ -30,6 +30,7 @@ from arenas.games.soccer.observation_layout import (
     OWN_SIZE,
     VECTORS,
     agents_without_vector,
+    feels_joints,
     parts,
     size,
 )
@@ -50,7 +51,7 @@ class Ball(NamedTuple):
 
 def fill(robot: Robot, body: Body, vectors: Sequence[Array], buffer: int = 0) -> Array:
     """Return the observation (size,) of the seven vectors (3,), and those after them, in the robot's frame."""
-    begins = robot.observe_self(body) if robot.kind == "anymal" else into_body(body.pose[3:], body.velocity[:3])
+    begins = robot.observe_self(body) if feels_joints(robot.kind) else into_body(body.pose[3:], body.velocity[:3])
     unused = jnp.zeros(max(0, buffer - 3 * (len(vectors) - VECTORS)))
     return jnp.concatenate([begins, *vectors, unused])
 
@@ -59,7 +60,7 @@ def walk_observation(buffer: int) -> WalkObservation:
     """Return the walk's layout: its goal in the place of the ball, all else zeros."""
     none = [jnp.zeros(3)] * (VECTORS - 1)
     return WalkObservation(
-        size("anymal", 0, buffer),
+        size(OWN_SIZE["anymal"], 0, buffer),
         OWN_SIZE["anymal"],
         lambda robot, body, goal: fill(robot, body, [goal, *none], buffer),
         lambda robot, goal: parts(robot.kind, robot.sensed_parts, [f"{goal}: {WHERE}", *[""] * (VECTORS - 1)], buffer),
@@ -77,7 +78,9 @@ class ObservationBuilder:
     def size(self, agent: str) -> int:
         """Return the size of an agent's observation."""
         mates, enemies = self._sides[agent]
-        return size(self.robots[agent].kind, agents_without_vector(1 + len(mates), len(enemies)), self.buffer)
+        robot = self.robots[agent]
+        own = robot.proprioception_size if feels_joints(robot.kind) else OWN_SIZE[robot.kind]
+        return size(own, agents_without_vector(1 + len(mates), len(enemies)), self.buffer)
 
     def parts(self, agent: str) -> tuple[Part, ...]:
         """Describe an agent's observation."""

@@ -10,9 +10,10 @@ from jax import Array
 from arenas.arena_settings import Solver
 from arenas.games.soccer.observation import Ball
 from arenas.games.soccer.rules import WALL, WALL_HEIGHT, PitchRules
-from arenas.games.sumo.settings import KINDS
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
+from arenas.robots.files.loading import file_robot
+from arenas.robots.kinds import kind_of
 from arenas.robots.leatherback import MAX_STEERING, leatherback
 from arenas.robots.robot import Robot
 from arenas.scene import props
@@ -56,6 +57,8 @@ def robot(kind: str, rules: PitchRules) -> Robot:
     """Make a robot with the drive of these rules."""
     if kind == "anymal":
         return anymal(rules.fall_height, rules.fall_up)
+    if kind != "leatherback":
+        return file_robot(kind)
     defects = rules.defects
     return leatherback(
         rules.drive_scale, rules.steer_scale, limit=None,
@@ -71,17 +74,21 @@ def solver(kinds: Sequence[str]) -> Solver:
     A contact has three rows, one of the ball's six. Two ANYmals and two rovers, untrained and crowded, need 39 slots
     for pairs of near geoms, and at most 21 contacts and 72 rows were seen in a world (`benchmarks/buffers.py`).
     """
-    contacts, rows = 6 + sum(KINDS[kind].contacts for kind in kinds), 12 + 3 * (6 + 8 * len(kinds))
+    contacts, rows = 6 + sum(kind_of(kind).contacts for kind in kinds), 12 + 3 * (6 + 8 * len(kinds))
     return Solver(ls_iterations=50, cone="elliptic", contacts=contacts, rows=rows)
 
 
 class Pitch:
     """Ball and robots of one scene by index: blue's robots, then red's."""
 
-    def __init__(self, scene: Scene, robots: Mapping[str, Robot], rules: PitchRules, dropped: Mapping[str, float]):
-        """Index the scene. `dropped` are start heights in metres by kind; other kinds stand on the ground."""
+    def __init__(
+        self, scene: Scene, robots: Mapping[str, Robot], kinds: Sequence[str], rules: PitchRules,
+        dropped: Mapping[str, float],
+    ):  # fmt: skip
+        """Index the scene. `kinds` are the robots' names in the settings; `dropped` are start heights in metres by
+        kind, other kinds stand on the ground.
+        """
         self.rules = rules
-        kinds = [each.kind for each in robots.values()]
         at, place = scene.props["ball"].qpos, scene.props["ball"].qvel
         assert at is not None
         assert place is not None
@@ -90,7 +97,7 @@ class Pitch:
         self._rest = jnp.asarray(scene.rest, jnp.float32)
         self._speeds = scene.model.nv
         self._heights = jnp.array([dropped.get(each.kind, each.rest_height) for each in robots.values()])
-        self._reach = jnp.array([KINDS[kind].hull / 2 for kind in kinds]) + rules.ball.radius + NEAR
+        self._reach = jnp.array([kind_of(kind).hull / 2 for kind in kinds]) + rules.ball.radius + NEAR
         self.clear = rules.clear(kinds)
 
     # Start -----------------------------------------------------------------------------------------------------------

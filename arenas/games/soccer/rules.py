@@ -7,8 +7,9 @@ from typing import Literal
 
 from arenas.arena_settings import Timing
 from arenas.description import AgentOutline
-from arenas.games.soccer.observation_layout import size
-from arenas.games.sumo.settings import KINDS, points_within
+from arenas.games.soccer.observation_layout import own_size, size
+from arenas.games.sumo.settings import points_within
+from arenas.robots.kinds import kind_of, roster_name
 
 CONTROL = 0.02  # s, a control step, and a decision
 WALL, WALL_HEIGHT = 0.5, 2.0  # m
@@ -126,7 +127,7 @@ class PitchRules:
         """Return radii in metres of the circles that robots of these kinds, and then the ball, need."""
         if self.defects.spawn_overlap:
             return (SPACING / 2,) * (len(kinds) + 1)
-        return *(KINDS[kind].hull / 2 for kind in kinds), self.ball.radius
+        return *(kind_of(kind).hull / 2 for kind in kinds), self.ball.radius
 
     def check_room(self, kinds: Sequence[str]) -> None:
         """Raise ValueError if robots of these kinds might find no place to start."""
@@ -147,4 +148,4 @@ def timing(episode: float) -> Timing:
 
 def agent_outline(kind: str, extra: int, buffer: int) -> AgentOutline:
     """Return the outline of a robot that observes `extra` robots more than have vectors."""
-    return AgentOutline(kind, size(kind, extra, buffer), KINDS[kind].action_size)
+    return AgentOutline(roster_name(kind), size(own_size(kind), extra, buffer), kind_of(kind).action_size)

@@ -11,16 +11,17 @@ Rovers drive, forwards or in reverse, and ANYmals trot in arcs. A robot locates 
 its own goal to the other is the x axis of the frame used here.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Iterable
 
 import jax.numpy as jnp
 from jax import Array
 
 from arenas.games.soccer import walls
+from arenas.games.soccer.observation_layout import OWN_SIZE
 from arenas.games.soccer.rules import PitchRules
-from arenas.games.soccer.situation import Situation, angle, clear, left, read_situation, rotated, unit
-from arenas.games.sumo.scripts import GOING, SPEED, Pace, View
-from arenas.robots.robot import Script
+from arenas.games.soccer.situation import Situation, angle, body_sizes, clear, left, read_situation, rotated, unit
+from arenas.games.sumo.scripts import GOING, SPEED, Pace, View, going_of
+from arenas.robots.robot import Robot, Script
 
 FULL_SPEED, FULL_STEERING = 50.0, 0.6  # rad/s of the wheels, rad: full throttle and steering of the scripts' rovers
 TROT = -0.5  # speed command of ANYmals to their gait, see `arenas.games.sumo.scripts.Pace`
@@ -40,29 +41,40 @@ Plan = Callable[[Situation], Array]  # the vector to go, (2,) m
 Go = Callable[[Pace, Array, Array], Array]  # pace, that vector ahead and left, observation -> action
 
 
-def of_soccer(kinds: Collection[str], decision: float, rules: PitchRules) -> dict[str, dict[str, Script]]:
-    """Return the game's scripts, name -> kind -> script; `decision` is the time in seconds between two actions."""
+def of_soccer(robots: Iterable[Robot], decision: float, rules: PitchRules) -> dict[str, dict[str, Script]]:
+    """Return the game's scripts, name -> kind -> script, of the kinds that can move by one; `decision` is the time in
+    seconds between two actions.
+    """
+    movers = {robot.kind: robot for robot in robots if body_sizes(robot) is not None}
     pace = Pace(decision, FULL_SPEED / rules.drive_scale, FULL_STEERING / rules.steer_scale, TROT)
     plans: dict[str, tuple[Plan, bool]] = {
         "striker": (_strike, False),
         "keeper": (_keep, True),
         "chaser": (lambda situation: situation.ball - situation.me, False),
     }
-    return {name: {kind: _player(kind, pace, rules, *plan) for kind in kinds} for name, plan in plans.items()}
+    if not movers:
+        return {}
+    return {
+        name: {kind: _player(robot, pace, rules, *plan) for kind, robot in movers.items()}
+        for name, plan in plans.items()
+    }
 
 
-def _player(kind: str, pace: Pace, rules: PitchRules, plan: Plan, stops: bool) -> Script:
+def _player(robot: Robot, pace: Pace, rules: PitchRules, plan: Plan, stops: bool) -> Script:
     """Make a script that follows `plan`, and `stops` there or only heads there."""
-    inside = jnp.array(rules.inside)
+    inside, kind, build = jnp.array(rules.inside), robot.kind, body_sizes(robot)
+    assert build is not None
+    first = OWN_SIZE.get(kind, robot.proprioception_size)
+    going = {**going_of([robot]), **GOING}
     # Observations of both kinds begin with the velocity, ahead first.
     view = View(lambda seen: seen, lambda seen: seen[0], lambda seen: jnp.asarray(jnp.inf), None)
 
     def play(observation: Array, key: Array) -> Array:
-        situation = read_situation(kind, observation, inside)
+        situation = read_situation(first, build, observation, inside)
         way = plan(situation)
         seen = way[0] * situation.x + way[1] * situation.y
         if kind != "leatherback":
-            return GOING[kind](pace, seen, observation, view, stops)
+            return going[kind](pace, seen, observation, view, stops)
         if stops:
             action = GOING[kind](pace, seen, observation, view, True)
         else:

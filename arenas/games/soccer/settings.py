@@ -13,6 +13,7 @@ from arenas.description import AgentOutline, Outline
 from arenas.games.soccer.observation_layout import OWN_SIZE, agents_without_vector
 from arenas.games.soccer.rules import Defects, PitchRules, agent_outline, timing
 from arenas.games.sumo.settings import check_roster
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class RewardDefects:
 
 
 @dataclass(frozen=True)
-class SoccerReward:
+class SoccerReward(RewardTerms):
     """Weights of the reward's terms; `ball`, `approach` and `push` are shaping that training.shaping_steps anneals."""
 
     goal: float = 20.0
@@ -64,13 +65,13 @@ class SoccerReward:
 
 
 @dataclass(frozen=True)
-class SoccerSettings:
+class SoccerSettings(WithTerms):
     """A soccer match: robots, rules and rewards."""
 
     name: str = "soccer-1v1"
     """The arena's name."""
     blue: tuple[str, ...] = ("anymal",)
-    """Blue's robots, by kind: anymal, leatherback; any number. They play towards +x."""
+    """Blue's robots, which play towards +x, by kind: anymal, leatherback, ant, go1, ... or a file (docs/robots.md)."""
     red: tuple[str, ...] = ("leatherback",)
     """Red's robots, which play towards -x; the teams may differ in size and kind."""
     buffer: int = field(default=0, metadata={"low": 0, "high": 1000})
@@ -107,7 +108,7 @@ class SoccerSettings:
         """Build the arena."""
         from arenas.games.soccer.match import Soccer
 
-        return Soccer(self, **options)
+        return with_terms(Soccer(self, **options), self)
 
 
 ALL_DEFECTS = Defects(**{each.name: True for each in fields(Defects)})

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from arenas.games.soccer.observation_layout import OWN_SIZE, VECTORS
+from arenas.games.soccer.observation_layout import VECTORS
+from arenas.robots.robot import Robot
 
 LEAD = 0.2  # s of rolling that the script predicts for the ball
 PASS_WITHIN = 1.2  # m within which a script avoids other robots
@@ -40,9 +41,17 @@ class Situation(NamedTuple):
     build: BodySizes
 
 
-def read_situation(kind: str, observation: Array, inside: Array) -> Situation:
-    """Convert an observation of a robot of that kind; `inside` (2,) are the walls' distances in m from the middle."""
-    first = OWN_SIZE[kind]
+def body_sizes(robot: Robot) -> BodySizes | None:
+    """Return the dimensions of a robot that scripts can move: those in code, and those with a drive of their own."""
+    if robot.drive is not None:
+        return BodySizes(robot.radius, max(0.6, 2 * robot.radius), robot.radius + 0.5)
+    return BUILDS.get(robot.kind)
+
+
+def read_situation(first: int, build: BodySizes, observation: Array, inside: Array) -> Situation:
+    """Convert an observation whose vectors begin at the index `first`, of a robot of such a body; `inside` (2,) are the
+    walls' distances in m from the middle.
+    """
     ball, rolls, goal, own, *others = observation[first : first + 3 * VECTORS].reshape(VECTORS, 3)[:, :2]
     along = goal - own
     half = jnp.linalg.norm(along) / 2
@@ -57,7 +66,7 @@ def read_situation(kind: str, observation: Array, inside: Array) -> Situation:
     present = (jnp.stack(others) != 0).any(axis=1)
     places = me + jnp.stack([placed(other) for other in others])
     return Situation(
-        x, y, me, me + placed(ball), soon, jnp.stack([half, jnp.zeros(())]), places, present, inside, BUILDS[kind]
+        x, y, me, me + placed(ball), soon, jnp.stack([half, jnp.zeros(())]), places, present, inside, build
     )
 
 

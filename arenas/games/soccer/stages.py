@@ -12,6 +12,7 @@ from arenas.description import Outline
 from arenas.games.soccer.rules import PitchRules, agent_outline, timing
 from arenas.games.soccer.settings import ALL_DEFECTS
 from arenas.games.sumo.stages import WalkSettings
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
 from arenas.scene.randomisation import HARL_A, Randomisation
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class SoccerWalkSettings(WalkSettings):
         from arenas.games.soccer.observation import walk_observation
         from arenas.games.sumo.walk import Walk
 
-        return Walk(self, walk_observation(self.buffer), **options)
+        return with_terms(Walk(self, walk_observation(self.buffer), **options), self)
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class DrillRules(PitchRules):
 
 
 @dataclass(frozen=True)
-class DrillReward:
+class DrillReward(RewardTerms):
     """Weights of the reward's terms; `approach` and `push` are shaping that training.shaping_steps anneals."""
 
     reached: float = 0.0
@@ -87,7 +88,7 @@ class DrillReward:
 
 
 @dataclass(frozen=True)
-class DrillSettings:
+class DrillSettings(WithTerms):
     """A single robot on the field, with a ball."""
 
     name: str = "soccer-score"
@@ -119,7 +120,7 @@ class DrillSettings:
         """Build the arena."""
         from arenas.games.soccer.drill import Drill
 
-        return Drill(self, **options)
+        return with_terms(Drill(self, **options), self)
 
 
 def faithful(settings: DrillSettings) -> DrillSettings:

@@ -6,8 +6,6 @@ one more call per control step: on Warp a pass of kernels over all bodies, in C 
 `tests/arenas/games/test_sumo_walk.py` compares it with MuJoCo's own geometry.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -25,22 +23,17 @@ from arenas.robots.anymal import (
     TORSO_RADIUS,
     TORSO_SIDE,
 )
+from arenas.robots.kinematics import Heights
 from arenas.robots.rotations import into_body
 
 _MIRROR = np.array([(*leg, 1) for leg in LEGS.values()], np.float32)  # (4, 3), from the left front leg to each
 _TORSO = np.array([(x, y, 0.0) for x in (-TORSO_HALF, TORSO_HALF) for y in (-TORSO_SIDE, TORSO_SIDE)], np.float32)
 
 
-class Clearance(NamedTuple):
-    """Metres from the ground at z = 0 to the lowest point of each part; negative if pressed in. Legs LF, LH, RF, RH."""
-
-    torso: Array  # ()
-    thighs: Array  # (4,)
-    feet: Array  # (4,)
-
-
-def clearance(pose: Array, angles: Array) -> Clearance:
-    """Return the clearance of an ANYmal with base pose (7,) and joint angles (12,), both as in `Body`."""
+def clearance(pose: Array, angles: Array) -> Heights:
+    """Return the heights of an ANYmal's torso, thighs (its limbs, 4) and feet (4), from its base pose (7,) and joint
+    angles (12,), both as in `Body`; legs LF, LH, RF, RH.
+    """
     up = into_body(pose[3:], jnp.array([0.0, 0.0, 1.0]))  # the world's z in the base's frame
 
     def height(points: Array) -> Array:
@@ -52,7 +45,7 @@ def clearance(pose: Array, angles: Array) -> Clearance:
     abduction, hip, knee = angles.reshape(3, 4)
     thigh_ends = jnp.stack([_from_thigh(abduction, hip, _mirrored(end)) for end in THIGH_AXIS])  # (2, legs, 3)
     feet = _from_thigh(abduction, hip, _mirrored(SHANK_AT) + _about_y(knee, _mirrored(FOOT_AT)))
-    return Clearance(
+    return Heights(
         height(jnp.asarray(_TORSO)).min() - TORSO_RADIUS,
         height(thigh_ends).min(axis=0) - THIGH_RADIUS,
         height(feet) - FOOT_RADIUS,

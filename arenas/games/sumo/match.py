@@ -30,9 +30,11 @@ from arenas.errors import ArenaError
 from arenas.games.sumo import ring, scripts
 from arenas.games.sumo.full_observation import FullObservation
 from arenas.games.sumo.paper_observation import PaperObservation
-from arenas.games.sumo.settings import CONTROL, ITERATIONS, KINDS, SPARE_CONTACTS, SPARE_ROWS, SumoRules, SumoSettings
+from arenas.games.sumo.settings import CONTROL, ITERATIONS, SPARE_CONTACTS, SPARE_ROWS, SumoRules, SumoSettings
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
+from arenas.robots.files.loading import file_robot
+from arenas.robots.kinds import KINDS, kind_of
 from arenas.robots.leatherback import leatherback
 from arenas.robots.minitank import minitank
 from arenas.robots.robot import Robot, Script
@@ -60,12 +62,14 @@ class Sumo(Arena):
         **options: Unpack[EngineOptions],
     ):
         rules = settings.rules
+        sides = {"blue": settings.blue, "red": settings.red}
         if rosters is None:
-            sides = {"blue": settings.blue, "red": settings.red}
-            rosters = {team: [_BUILD[kind](rules) for kind in kinds] for team, kinds in sides.items()}
+            rosters = {team: [_robot(kind, rules) for kind in kinds] for team, kinds in sides.items()}
+            room = [kind_of(kind) for kinds in sides.values() for kind in kinds]
+        else:
+            room = [KINDS.get(robot.kind, DEFAULT_KIND) for team in rosters.values() for robot in team]
         if len(rosters) != 2:
             raise ArenaError(f"sumo needs two teams; these are {', '.join(rosters)}")
-        room = [KINDS.get(robot.kind, DEFAULT_KIND) for team in rosters.values() for robot in team]
         super().__init__(
             settings.name, rosters, settings.timing, asdict(rules) | {"randomisation": asdict(settings.randomisation)},
             solver=Solver(
@@ -225,7 +229,7 @@ class Sumo(Arena):
         }
         decision, rover = self.timing.control_interval * self.timing.hold, SumoRules()
         throttle, steering = rover.drive_scale / self.rules.drive_scale, rover.steer_scale / self.rules.steer_scale
-        return scripts.of_match(views, scripts.Pace(decision, throttle, steering))
+        return scripts.of_match(views, scripts.Pace(decision, throttle, steering), self.robots.values())
 
 
 def _won(lost: Array) -> Array:
@@ -236,6 +240,11 @@ def _won(lost: Array) -> Array:
 def _score(lost: Array) -> Array:
     """Return scores (teams,) from losses (teams,); if both or neither lost it is a draw."""
     return jnp.where(lost[0] == lost[1], 0.5, _won(lost) * 1.0)
+
+
+def _robot(kind: str, rules: SumoRules) -> Robot:
+    """Make a robot by its name in a roster."""
+    return _BUILD[kind](rules) if kind in _BUILD else file_robot(kind)
 
 
 def _rover(rules: SumoRules) -> Robot:

@@ -8,7 +8,7 @@
 Slots do not contain the centre, so there is no centre-holder with them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from arenas.games.sumo import paper_observation
 from arenas.games.sumo.full_observation import PER_OTHER
 from arenas.robots.anymal import gait
 from arenas.robots.leatherback import drive_towards
-from arenas.robots.robot import Script, idle_script
+from arenas.robots.robot import Robot, Script, idle_script
 
 SPEED = 0.9  # a rover's share of full throttle
 SLOW = 0.6  # m from the centre, within which a rover slows down in proportion
@@ -73,9 +73,9 @@ def slots_view(kind: str) -> View:
     )
 
 
-def pusher(kind: str, view: View, pace: Pace) -> Script:
-    """Make a script that moves straight at the nearest enemy."""
-    go = GOING[kind]
+def pusher(kind: str, view: View, pace: Pace, go: Go | None = None) -> Script:
+    """Make a script that moves straight at the nearest enemy; `go` moves a kind that is none of GOING."""
+    go = go or GOING[kind]
 
     def push(observation: Array, key: Array) -> Array:
         return go(pace, _nearest(view.enemies(observation)), observation, view, False)
@@ -83,9 +83,9 @@ def pusher(kind: str, view: View, pace: Pace) -> Script:
     return push
 
 
-def centre_holder(kind: str, view: View, pace: Pace) -> Script:
+def centre_holder(kind: str, view: View, pace: Pace, go: Go | None = None) -> Script:
     """Make a script that moves to the centre of the ring and slows down near it, so that tyres keep their grip."""
-    go, centre = GOING[kind], view.centre
+    go, centre = go or GOING[kind], view.centre
     assert centre is not None
 
     def hold(observation: Array, key: Array) -> Array:
@@ -94,14 +94,24 @@ def centre_holder(kind: str, view: View, pace: Pace) -> Script:
     return hold
 
 
-def of_match(views: Mapping[str, View], pace: Pace) -> dict[str, dict[str, Script]]:
+def of_match(views: Mapping[str, View], pace: Pace, robots: Iterable[Robot] = ()) -> dict[str, dict[str, Script]]:
     """Return the game's scripts, name -> kind -> script, for the kinds that play, each with its view of the
-    observation.
+    observation. Of `robots` from files those on wheels play.
     """
-    known = {kind: view for kind, view in views.items() if kind in GOING}
-    pushers = {kind: pusher(kind, view, pace) for kind, view in known.items()}
-    holders = {kind: centre_holder(kind, view, pace) for kind, view in known.items() if view.centre}
+    going = {**going_of(robots), **GOING}
+    known = {kind: view for kind, view in views.items() if kind in going}
+    pushers = {kind: pusher(kind, view, pace, going[kind]) for kind, view in known.items()}
+    holders = {kind: centre_holder(kind, view, pace, going[kind]) for kind, view in known.items() if view.centre}
     return {name: kinds for name, kinds in (("pusher", pushers), ("centre-holder", holders)) if kinds}
+
+
+def going_of(robots: Iterable[Robot]) -> dict[str, Go]:
+    """Return how the robots with a drive of their own move, by kind."""
+
+    def go(drive: Callable[[Array, bool], Array]) -> Go:
+        return lambda pace, position, observation, view, careful: drive(position, careful)
+
+    return {robot.kind: go(robot.drive) for robot in robots if robot.drive is not None}
 
 
 def _nearest(enemies: Array) -> Array:

@@ -4,19 +4,22 @@ Nothing here loads jax or mujoco: a configuration is read and written without th
 setting.
 """
 
-import difflib
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Literal, Unpack
 
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.sumo.observation_layout import OWN, PER_OTHER, size
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
+from arenas.robots.kinds import KINDS, Kind, check_roster, is_file, kind_of, roster_name
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
     from arenas.games.sumo.match import Sumo
+
+__all__ = ["ARENAS", "KINDS", "Kind", "SumoReward", "SumoRules", "SumoSettings", "check_roster"]
 
 CONTROL = 0.02  # s, a control step
 TIMESTEP = CONTROL / 3
@@ -29,24 +32,6 @@ PITCH = 0.5  # m between the points of the lattice
 OVERLAPPING = 0.6  # m between robots at HARL-A's starts; an ANYmal is 1.05 m long
 
 
-class Kind(NamedTuple):
-    """Properties of a robot kind that settings need."""
-
-    hull: float  # m, diameter of the circle that it covers at rest in any heading: robots closer than this may overlap
-    contacts: int  # Warp's contact slots for it where there are many worlds, besides a few per world
-    rows: int  # and constraint rows
-    proprioception_size: int  # numbers in its proprioception
-    action_size: int  # numbers in its action
-
-
-KINDS = {
-    # Pairs of near geoms need slots; there are more of them than contacts. The largest mean over worlds at any time, of
-    # four robots, untrained, random, crowded and trained (`benchmarks/buffers.py`): four ANYmals 53 pairs, two and two
-    # rovers 35, four rovers 20. Rows of a world: at most 116, of rovers that lie on one another.
-    "leatherback": Kind(hull=0.59, contacts=7, rows=36, proprioception_size=2, action_size=2),
-    "anymal": Kind(hull=1.18, contacts=16, rows=44, proprioception_size=45, action_size=12),
-    "minitank": Kind(hull=0.50, contacts=7, rows=36, proprioception_size=6, action_size=2),  # twice its barrel's length
-}
 SPARE_CONTACTS, SPARE_ROWS = 4, 16  # of every world
 
 ITERATIONS = 14
@@ -59,7 +44,7 @@ in one of a thousand steps (docs/speed.md).
 
 
 @dataclass(frozen=True)
-class SumoReward:
+class SumoReward(RewardTerms):
     """Rewards, which shape learning and never decide a match."""
 
     scale: float = field(default=1.0, metadata={"above": 0.0})
@@ -142,13 +127,13 @@ class SumoRules:
 
 
 @dataclass(frozen=True)
-class SumoSettings:
+class SumoSettings(WithTerms):
     """A sumo arena: robots, rules, observations and rewards."""
 
     name: str = "sumo-2v2"
     """The arena's name."""
     blue: tuple[str, ...] = ("leatherback", "leatherback")
-    """Blue's robots, by kind: leatherback, anymal, minitank; any number."""
+    """Blue's robots, by kind: leatherback, anymal, minitank, ant, go1, ... or a file (docs/robots.md); any number."""
     red: tuple[str, ...] = ("leatherback", "leatherback")
     """Red's robots; the teams may differ in size and kind."""
     observation: Literal["rich", "slots"] = "rich"
@@ -166,7 +151,11 @@ class SumoSettings:
         """Check the rosters, and that there is room for all robots at the start."""
         check_roster("blue", self.blue)
         check_roster("red", self.red)
-        hull = max(KINDS[kind].hull for kind in self.blue + self.red)
+        if self.observation == "slots" and any(map(is_file, self.blue + self.red)):
+            raise ValueError(
+                'observation: slots are of anymal, leatherback and minitank; a robot from a file needs "rich"'
+            )
+        hull = max(kind_of(kind).hull for kind in self.blue + self.red)
         if self.rules.spawn == "lattice":
             self._check_lattice(hull)
         elif self.rules.ring[0] < (smallest := diameter_ring((len(self.blue), len(self.red)), hull)):
@@ -202,28 +191,18 @@ class SumoSettings:
 
     def _agent_outline(self, kind: str, own: Sequence[str], other: Sequence[str]) -> AgentOutline:
         """Return the outline of a robot of the team `own` against the team `other`."""
-        proprioception_size, action_size = KINDS[kind].proprioception_size, KINDS[kind].action_size
+        proprioception_size, action_size = kind_of(kind).proprioception_size, kind_of(kind).action_size
         if self.observation == "rich":
-            return AgentOutline(kind, proprioception_size + OWN + PER_OTHER * (len(own) - 1 + len(other)), action_size)
+            return AgentOutline(
+                roster_name(kind), proprioception_size + OWN + PER_OTHER * (len(own) - 1 + len(other)), action_size
+            )
         return AgentOutline(kind, size(kind, max(0, len(own) - 2) + max(0, len(other) - 2), self.buffer), action_size)
 
     def build(self, **options: Unpack[EngineOptions]) -> "Sumo":
         """Build the arena."""
         from arenas.games.sumo.match import Sumo
 
-        return Sumo(self, **options)
-
-
-def check_roster(field: str, kinds: Sequence[str], players: Collection[str] = KINDS) -> None:
-    """Raise ValueError, one line with the field's name, for an empty team or an unknown kind of robot."""
-    known = ", ".join(players)
-    if not kinds:
-        raise ValueError(f"{field}: a team needs at least one robot ({known})")
-    for kind in kinds:
-        if kind not in players:
-            near = difflib.get_close_matches(kind, players, 1)
-            hint = f"did you mean {near[0]}? " if near else ""
-            raise ValueError(f"{field}: unknown robot {kind!r}: {hint}(robots: {known})")
+        return with_terms(Sumo(self, **options), self)
 
 
 def pitch(size: int) -> float:

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Literal, Unpack
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.sumo.observation_layout import size
-from arenas.games.sumo.settings import CONTROL, KINDS, OVERLAPPING, TIMESTEP, lattice_ring
+from arenas.games.sumo.settings import CONTROL, OVERLAPPING, TIMESTEP, lattice_ring
+from arenas.games.terms import RewardTerms, WithTerms, with_terms
+from arenas.robots.kinds import KINDS
 from arenas.scene.randomisation import Randomisation
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ class WalkRules:
 
 
 @dataclass(frozen=True)
-class WalkReward:
+class WalkReward(RewardTerms):
     """Weights of the reward's terms. The paper's are in `PAPER_WALK`; none of them is annealed."""
 
     reached: float = 10.0
@@ -79,7 +81,7 @@ PAPER_WALK = WalkReward(fall=0.0, progress=0.0, tracking=0.0, turning=0.0, dista
 
 
 @dataclass(frozen=True)
-class WalkSettings:
+class WalkSettings(WithTerms):
     """An ANYmal alone on an open plane that must reach a point in time."""
 
     name: str = "anymal-walk"
@@ -108,7 +110,7 @@ class WalkSettings:
         """Build the arena."""
         from arenas.games.sumo.walk import Walk
 
-        return Walk(self, **options)
+        return with_terms(Walk(self, **options), self)
 
 
 # Stage 2 --------------------------------------------------------------------------------------------------------------
@@ -163,7 +165,7 @@ class BlockPushRules:
 
 
 @dataclass(frozen=True)
-class BlockPushReward:
+class BlockPushReward(RewardTerms):
     """Weights of HARL-A's reward terms; `approach` and `push` are shaping that training.shaping_steps anneals."""
 
     block_out: float = 10.0
@@ -183,7 +185,7 @@ class BlockPushReward:
 
 
 @dataclass(frozen=True)
-class BlockPushSettings:
+class BlockPushSettings(WithTerms):
     """Two robots with a block each in one ring: the first to push its own block out wins."""
 
     name: str = "block-push-anymal"
@@ -224,7 +226,7 @@ class BlockPushSettings:
         """Build the arena."""
         from arenas.games.sumo.block import BlockPush
 
-        return BlockPush(self, **options)
+        return with_terms(BlockPush(self, **options), self)
 
 
 def _timing(episode: float) -> Timing:

@@ -21,10 +21,12 @@ from arenas.arena import Arena
 from arenas.arena_settings import EngineOptions, Solver
 from arenas.description import Legend, Part
 from arenas.games.sumo import paper_observation, scripts
-from arenas.games.sumo.clearance import Clearance, clearance
+from arenas.games.sumo.clearance import clearance
 from arenas.games.sumo.stages import WalkSettings
+from arenas.games.terms import weights_of
 from arenas.physics.engine import Physics
 from arenas.robots.anymal import anymal
+from arenas.robots.kinematics import Heights
 from arenas.robots.robot import Body, Robot, Script
 from arenas.robots.rotations import into_body, up_z
 from arenas.state import Verdict
@@ -43,9 +45,9 @@ class GameState(NamedTuple):
     """State that this episode's reward needs besides the physics."""
 
     goal: Array  # (2,) m, in the world
-    action: Array  # (12,) the present action
-    last: Array  # (12,) the previous action
-    air: Array  # (4,) s since each foot left the ground, 0 while it is on it
+    action: Array  # (action_size,) the present action
+    last: Array  # (action_size,) the previous action
+    air: Array  # (feet,) s since each foot left the ground, 0 while it is on it
 
 
 class WalkObservation(NamedTuple):
@@ -79,19 +81,21 @@ class Walk(Arena):
         self,
         settings: WalkSettings,
         layout: WalkObservation | None = None,
+        robot: Robot | None = None,
+        solver: Solver | None = None,
         **options: Unpack[EngineOptions],
     ):
         rules = settings.rules
         self.layout = layout or sumo_walk_observation(settings.buffer)
-        self.robot = anymal()
+        self.robot = robot or anymal()
         # Random play, including falls, had at most 7 contacts and 29 rows; twelve joints may be at their limits.
         super().__init__(
             settings.name, {"blue": (self.robot,)}, settings.timing,
             {**asdict(rules), "randomisation": asdict(settings.randomisation)},
-            solver=Solver(contacts=18, rows=80), marker_kinds={"goal": "circle"}, **options,
+            solver=solver or Solver(contacts=18, rows=80), marker_kinds={"goal": "circle"}, **options,
         )  # fmt: skip
         self.rules, self.randomisation = rules, settings.randomisation
-        self.weights = asdict(settings.reward)
+        self.weights = weights_of(settings.reward)
         self.speed = self.weights.pop("speed")
         self.randomisation.check(self.scene)
         self._at = self.scene.agents[WALKER]
@@ -124,7 +128,7 @@ class Walk(Arena):
         goal = jax.random.uniform(where, (2,), minval=-self.rules.goal, maxval=self.rules.goal)
         still = jnp.zeros(self.robot.action_size)
         qpos = self._rest.at[at : at + 4].set(quat)
-        return qpos, jnp.zeros(self.scene.model.nv), GameState(goal, still, still, jnp.zeros(4))
+        return qpos, jnp.zeros(self.scene.model.nv), GameState(goal, still, still, jnp.zeros(len(self.robot.feet)))
 
     def randomise(self, key: Array) -> dict[str, Array]:
         """Draw model fields by the settings."""
@@ -142,9 +146,9 @@ class Walk(Arena):
     def judge(self, before: Physics, physics: Physics, game: GameState) -> tuple[GameState, Verdict]:
         """Judge the control step: arrival is success, a fall or the end of time a failure."""
         body = self.body(WALKER, physics, {WALKER: game.action})
-        low = clearance(body.pose, body.angles)
+        low = self.heights(physics, body)
         reached = self._distance(physics, game) <= self.rules.reach
-        fall = ~reached & ((low.torso <= 0.0) | (up_z(body.pose[3:]) < self.rules.fall_up))
+        fall = ~reached & self.down(body, low)
         late = physics.time > self.rules.episode - self.timing.control_interval / 2
         terms = self._once(before, physics, game, reached, fall) | self._per_second(before, physics, game, body, low)
         game = game._replace(air=jnp.where(low.feet <= 0.0, 0.0, game.air + self.timing.control_interval))
@@ -157,16 +161,26 @@ class Walk(Arena):
             events={"reached": reached[None], "fall": fall[None]},
         )
 
+    def heights(self, physics: Physics, body: Body) -> Heights:
+        """Return the heights of torso, thighs and feet."""
+        return clearance(body.pose, body.angles)
+
+    def down(self, body: Body, low: Heights) -> Array:
+        """Return () bool: it has fallen."""
+        return (low.torso <= 0.0) | (up_z(body.pose[3:]) < self.rules.fall_up)
+
     def markers(self, physics: Physics, game: GameState) -> dict[str, Array]:
         """Return the circle that counts as reached."""
         return {"goal": jnp.append(game.goal, self.rules.reach)}
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
-        """Return a script that trots towards the goal, the only position in its slots; there is no edge."""
+        """Return a script that trots an ANYmal towards the goal, the only position in its slots; there is no edge."""
         at = self.layout.at
         view = scripts.View(
             lambda seen: seen[at : at + 3][None], lambda seen: jnp.zeros(()), lambda seen: jnp.asarray(jnp.inf), None
         )
+        if self.robot.kind != "anymal":
+            return {}
         return {"seeker": {"anymal": scripts.pusher("anymal", view, scripts.Pace(CONTROL, trot=TROT))}}
 
     # Terms -----------------------------------------------------------------------------------------------------------
@@ -178,7 +192,7 @@ class Walk(Arena):
         return {"reached": 1.0 * reached, "fall": 1.0 * fall, "progress": gained}
 
     def _per_second(
-        self, before: Physics, physics: Physics, game: GameState, body: Body, low: Clearance
+        self, before: Physics, physics: Physics, game: GameState, body: Body, low: Heights
     ) -> dict[str, Array]:
         """Return the terms that are paid by time, for one control step.
 
@@ -199,14 +213,19 @@ class Walk(Arena):
             "distance": 1.0 - jnp.tanh(self._distance(physics, game) / FAR),
             "vertical": velocity[2] ** 2,
             "roll_pitch": jnp.sum(rates[:2] ** 2),
-            "torque": jnp.sum(physics.ctrl[self._at.ctrl] ** 2),
+            "torque": jnp.sum(self._torques(physics, body) ** 2),
             "acceleration": jnp.sum((gained / dt) ** 2),
             "action_change": jnp.sum((game.action - game.last) ** 2),
             "air_time": jnp.sum((game.air - STEP_TIME) * landed),
-            "thigh_contact": jnp.sum(1.0 * (low.thighs <= 0.0)),
+            "thigh_contact": jnp.sum(1.0 * (low.limbs <= 0.0)),
             "tilt": jnp.sum(down[:2] ** 2),
         }
         return {name: dt * value for name, value in per_second.items()}
+
+    def _torques(self, physics: Physics, body: Body) -> Array:
+        """Return the motors' torques (actuators,) in the last substep, N·m."""
+        ctrl = physics.ctrl[self._at.ctrl]
+        return ctrl if self.robot.torques is None else self.robot.torques(body.angles, body.speeds, ctrl)
 
     def _distance(self, physics: Physics, game: GameState) -> Array:
         """Return the distance to the goal in metres, along the ground."""

@@ -1,1 +1,1 @@
-"""Commands that answer questions about arenas, ratings and payoffs."""
+"""Commands that answer questions about ratings, payoffs and several leagues."""

@@ -1,43 +1,42 @@
-"""`league explain PLAYER`: the opponents that a player meets in training now, and why."""
+"""`league explain PLAYER`: the opponents that a player meets in training now, and why; of a snapshot, its lineage."""
 
 import json
 import shutil
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dashboards.tables import render
+from dashboards.tables import Column, render
 from league.commands.options import Where, parse, positional
-from league.queries.league_facts import read_hyperparameters
-from league.queries.opponents import explain_opponents, mark_present, opponent_columns
-from league.queries.status_lines import copying
-from league.state.league_state import LeagueState
+from league.queries.opponents import explained, mark_present, opponent_columns
+from league.state.learner_changes import Ancestor, lineage
 from storage.errors import UnknownName
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainOptions(Where):
-    """The player and its league, and the format of the output."""
+    """The player or snapshot and its league, and the format of the output."""
 
     player: str = positional()
-    """The player that learns."""
+    """The player that learns, or a snapshot, such as blue@16."""
     format: Literal["table", "json"] = "table"
     """table for people, json for programs."""
 
 
 def explain(args: list[str]) -> int:
-    """Print a player's opponents."""
-    options = parse(ExplainOptions, args, "explain", "Whom a player meets in training now, how often, and why.")
+    """Print a player's opponents, or a snapshot's lineage."""
+    what = "Whom a player meets in training now, how often, and why; from which snapshots a snapshot continues."
+    options = parse(ExplainOptions, args, "explain", what)
     with options.open() as opened:
-        state = LeagueState.of(opened.store, opened.league)
-        settings = opened.settings()
-        role_of, seed = settings.roles(), settings.get("seed", otherwise=1)
-        moved = read_hyperparameters(opened.store, settings, state).get(options.player)
-    player = next((p for p in state.players if p.name == options.player), None)
-    if player is None:
-        raise UnknownName("player", options.player, [p.name for p in state.players])
-    copies = None if moved is None else copying(settings.copies_after, state, player.name, moved)
-    found = explain_opponents(role_of(player.role), state, player, seed) | {"population": copies}
+        snapshots = opened.store.snapshots(opened.league)
+        names = [s.name for s in snapshots]
+        if options.player in names:
+            _print_lineage(lineage(snapshots, options.player), options.format)
+            return 0
+        if "@" in options.player:
+            raise UnknownName("snapshot", options.player, names)
+        found = explained(opened, options.player)
     if options.format == "json":
         print(json.dumps(found, indent=2))
     else:
@@ -45,6 +44,22 @@ def explain(args: list[str]) -> int:
         if found["population"]:
             print("\n" + _wrapped(f"Population: {options.player} has {found['population']}."))
     return 0
+
+
+def _print_lineage(found: Sequence[Ancestor], format: Literal["table", "json"]) -> None:
+    """Print a snapshot's lineage, oldest first."""
+    rows = [
+        {
+            "snapshot": s.name, "player": s.player, "iteration": s.iteration, "steps": s.step,
+            "seconds": round(s.seconds, 1), "parent": s.parent, "changes": list(changes),
+        }
+        for s, changes in found
+    ]  # fmt: skip
+    if format == "json":
+        print(json.dumps({"snapshot": rows[-1]["snapshot"], "lineage": rows}, indent=2))
+        return
+    shown = ("snapshot", "iteration", "steps", "parent", Column("changes", "changed learner settings"))
+    print(render([row | {"changes": ", ".join(row["changes"])} for row in rows], shown))
 
 
 def _text(found: dict[str, Any]) -> str:

@@ -1,1 +1,1 @@
-"""Commands that start, stop and follow a league."""
+"""Commands that start, stop and follow leagues."""

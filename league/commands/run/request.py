@@ -31,7 +31,7 @@ class RunOptions:
     file: str | None = positional(None)
     """A league.toml (see `league init`). Without one and without --preset: the league last run here."""
     preset: str | None = None
-    """Settings to start from: quickstart, duel, alphastar, psro, sumo-by-team, ...; an unknown name lists all."""
+    """Settings to start from: quickstart, duel, alphastar, psro, sumo-by-team, ...; `league presets` lists all."""
     store: str = STORE
     """The store: a folder, or a URL such as sqlite:///runs/league.db or postgresql://host/league."""
     blobs: str | None = None

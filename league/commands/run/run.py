@@ -18,14 +18,15 @@ from league.config.durations import seconds
 from league.config.experiment import Budget, Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
+from league.runs.sweeps.run_state import with_retries
 from league.runtime.manager import ManagerError
 from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.scheduling import curriculum
 from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.turn_scheduler import trained_enough
-from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState
+from league.state.learner_changes import learner_changes
 from league.state.liveness import leader, place
 from league.system import devices, exit_codes, provenance
 from storage.database.urls import without_passwords
@@ -38,19 +39,28 @@ WHAT = "Run a league: train, play rating matches, go on where it stopped."
 def run(args: list[str]) -> int:
     """Run a league."""
     request = read(args)
-    config, where = request.config, request.options.store
     if request.help:
         from league.commands import help
 
-        print(without_passwords(help.page("run", WHAT, RunOptions, config)))
+        print(without_passwords(help.page("run", WHAT, RunOptions, request.config)))
         return 0
-    if request.options.live and (request.options.detach or config.stages):
+    if request.options.live and (request.options.detach or request.config.stages):
         which = "--detach" if request.options.detach else "a curriculum, which is a league for each stage"
         raise ConfigError(
             (), f"--live shows a league that runs at this terminal, not {which}: use `league watch --live`"
         )
     devices.use(request.options.devices)
+    return execute(request)
+
+
+def execute(request: RunRequest) -> int:
+    """Prepare and run a league; return the exit code.
+
+    Raises ConfigError, StorageError, ManagerError or PrepareError.
+    """
+    config, where = request.config, request.options.store
     _refuse_if_running(where, config)
+    _report_changes(where, config)
     with ExitStack() as until_the_end:
         spec = RunSpec.of(where, config)
         preparing = preparation(spec, config, debug="--debug" in sys.argv, keep=not request.options.detach)
@@ -71,7 +81,7 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
                 print(done)
                 return 0
             return _start(request, spec, config, prepared, warm_worker)
-        state = _with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
+        state = with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
         config = _with_budget(request, state)
         if trained_enough(config, state) and not rating_goes_on(config, state):
             print(f"{summary(config, state)}\n\n{_budget_had(config)}")
@@ -79,12 +89,6 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
     if config != request.config:
         spec = RunSpec.of(spec.store, config)
     return _start(request, spec, config, prepared, warm_worker)
-
-
-def _with_retries(state: LeagueState) -> LeagueState:
-    """Return the state as the manager will find it: when a person runs the league, failed turns are tried again."""
-    kept = [job for job in state.jobs if (job.kind, job.state) != (TrainingTurn.kind, "failed")]
-    return replace(state, jobs=kept)
 
 
 def _start(
@@ -122,6 +126,19 @@ def _refuse_if_running(where: str, config: Config) -> None:
             " `league stop` first",
             transient=True,
         )
+
+
+def _report_changes(where: str, config: Config) -> None:
+    """Print one line for each league of this run whose learner's settings differ from those of its last run."""
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            kept = {league.name: league.config for league in store.leagues()}
+    except NotAStore:
+        return
+    for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
+        if changes := learner_changes(kept.get(each.league, ""), configuration.dumps(each)):
+            shown = ", ".join(changes)
+            print(f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` keeps record of it.")
 
 
 def _with_budget(request: RunRequest, state: LeagueState) -> Config:

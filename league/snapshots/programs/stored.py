@@ -22,6 +22,7 @@ from storage.blobs.files import open_file
 
 LIMIT = 2**28  # bytes of a file
 TRIAL, TIMED = 3, 64  # worlds
+ZIP = b"PK\x03\x04"  # the first bytes of a TorchScript file
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,17 @@ def read(kind: str, names: Sequence[str], roster: str) -> Program:
     short = tuple((name if kind == "python" else Path(name).name, data) for name, data in files)
     program = Program(kind, short, tuple(found))
     return replace(program, seconds=_timed(program))
+
+
+def of_bytes(files: Sequence[tuple[str, bytes]], roster: str) -> Program:
+    """Return the program of a roster with a file for each agent, ONNX or TorchScript, by name and content.
+
+    Raises ProgramError, one line.
+    """
+    kind = "torchscript" if files[0][1].startswith(ZIP) else "onnx"
+    agents = sizes(roster)
+    about = [{**agent._asdict(), "file": i, **_tried(kind, files[i], agent)} for i, agent in enumerate(agents)]
+    return Program(kind, tuple(files), tuple(about))
 
 
 def sizes(roster: str) -> list[AgentSizes]:

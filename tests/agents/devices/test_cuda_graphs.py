@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from agents.devices import cuda_graphs
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from tests.agents.kernels import record
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
@@ -28,19 +28,19 @@ def device(request, monkeypatch) -> str:
     return "cuda" if request.param == "cuda" else "cpu"
 
 
-def pair(variant: dict, device: str) -> tuple[Learner, Learner]:
+def pair(variant: dict, device: str) -> tuple[HappoLearner, HappoLearner]:
     """Two equal learners of which the first replays."""
     replaying, plain = (
-        Learner([4, 4, 3], [2, 2, 1], replace(BASE, **variant, cuda_graphs=on), 3, device, critic_size=SIGHT)
+        HappoLearner([4, 4, 3], [2, 2, 1], replace(BASE, **variant, cuda_graphs=on), 3, device, critic_size=SIGHT)
         for on in (True, False)
     )
     replaying.graphs.on = True
     return replaying, plain
 
 
-def assert_equal(one: Learner, other: Learner) -> None:
-    theirs = other.state()
-    for name, array in one.state().items():
+def assert_equal(one: HappoLearner, other: HappoLearner) -> None:
+    theirs = other.save()
+    for name, array in one.save().items():
         np.testing.assert_allclose(array, theirs[name], rtol=1e-6, atol=1e-6, err_msg=name)
 
 
@@ -50,20 +50,20 @@ def assert_equal(one: Learner, other: Learner) -> None:
 )
 def test_a_replayed_update_is_an_update(variant, device, experience):
     replaying, plain = pair(variant, device)
-    kept = replaying.state()
+    kept = replaying.save()
     for seed, worlds in enumerate((6, 6, 6, 9, 9, 6, 9)):
         batch = experienced(experience, plain, seed, worlds)
         if seed == 4:  # another state under the same graphs
             for learner in (replaying, plain):
                 learner.load(kept)
-        update = Learner.update_critic_only if seed == 2 else Learner.update
+        update = HappoLearner.update_critic_only if seed == 2 else HappoLearner.learn
         told, expected = update(replaying, batch), update(plain, batch)
         assert told == pytest.approx(expected, rel=1e-5, abs=1e-6)
         assert_equal(replaying, plain)
     lanes = [lane for each in replaying.graphs._by_shape.values() for lane in (each, each._other)]
     recorded = [known for lane in lanes for known in lane._known.values()]
     assert sum(known.replay is not None for known in recorded) >= 10
-    assert any(not np.array_equal(x, kept[name]) for name, x in replaying.state().items() if name.startswith("actor"))
+    assert any(not np.array_equal(x, kept[name]) for name, x in replaying.save().items() if name.startswith("actor"))
     assert not plain.graphs._by_shape
 
 
@@ -75,7 +75,7 @@ def test_what_was_recorded_sees_other_dice_advantages_and_step_sizes(device, exp
         for learner in (replaying, plain):
             learner.rng.manual_seed(100 + seed)
             learner.steps.fill_(seed * 10**5)
-            learner.update(batch)
+            learner.learn(batch)
         assert_equal(replaying, plain)
 
 
@@ -83,10 +83,10 @@ def test_a_batch_without_any_known_decision_changes_nothing_in_a_replay(device, 
     replaying, plain = pair({}, device)
     batches = [experienced(experience, plain, seed, 6) for seed in range(4)]
     for batch in batches[:3]:
-        replaying.update(batch)
-    before = replaying.state()
-    assert replaying.update(batches[3]._replace(void=torch.ones_like(batches[3].void))) == {}
-    assert same(before, replaying.state())
+        replaying.learn(batch)
+    before = replaying.save()
+    assert replaying.learn(batches[3]._replace(void=torch.ones_like(batches[3].void))) == {}
+    assert same(before, replaying.save())
 
 
 def test_few_shapes_are_kept(device, experience):
@@ -94,7 +94,7 @@ def test_few_shapes_are_kept(device, experience):
     for worlds in (3, 4, 5, 6, 3, 7, 3):
         batch = experienced(experience, plain, worlds, worlds)
         for learner in (replaying, plain):
-            learner.update(batch)
+            learner.learn(batch)
         assert_equal(replaying, plain)
     assert [shape[1] for shape in replaying.graphs._by_shape] == [5, 6, 7, 3]
     assert len(replaying.graphs._by_shape) == cuda_graphs.MAX_SHAPES
@@ -129,5 +129,5 @@ def test_what_asks_the_device_cannot_be_recorded(device):
 
 
 def test_graphs_are_for_a_gpu():
-    assert isinstance(Learner([4], [2], BASE, 0).graphs.for_shape((8, 6)), cuda_graphs.EagerRunner)
+    assert isinstance(HappoLearner([4], [2], BASE, 0).graphs.for_shape((8, 6)), cuda_graphs.EagerRunner)
     assert isinstance(cuda_graphs.GraphCache(torch.device("cuda"), on=False).for_shape((8, 6)), cuda_graphs.EagerRunner)

@@ -14,7 +14,7 @@ from torch.utils import _pytree as pytree
 from agents.batch import Batch
 from agents.devices import distributed
 from agents.errors import Diverged
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.learner.learner_state import check_ranks_agree
 from agents.settings import HappoConfig
 from tests.agents import variants
@@ -36,8 +36,8 @@ class Case:
     config: HappoConfig
     batches: list[Batch]
 
-    def learner(self, comm: distributed.Communicator = distributed.SINGLE_PROCESS) -> Learner:
-        return Learner([4, 4], [2, 2], self.config, seed=3, critic_size=SIGHT, comm=comm)
+    def learner(self, comm: distributed.Communicator = distributed.SINGLE_PROCESS) -> HappoLearner:
+        return HappoLearner([4, 4], [2, 2], self.config, seed=3, critic_size=SIGHT, comm=comm)
 
     def part(self, rank: int) -> "Case":
         width = N // RANKS
@@ -48,10 +48,10 @@ class Case:
         learner, told = self.learner(comm), {}
         for batch in self.batches:
             try:
-                told = learner.update(batch)
+                told = learner.learn(batch)
             except Diverged as error:
                 told = str(error)
-        return learner.state(), told
+        return learner.save(), told
 
 
 def part(batch: Batch, worlds: slice) -> Batch:
@@ -71,7 +71,7 @@ def rank_main(rank: int, port: int, folder: Path) -> None:
 
 def parted(comm: distributed.Communicator) -> str:
     """What is said of two players when a rank's last bit of one of them is another."""
-    players = {name: Learner([4], [2], BASE, seed=1, comm=comm) for name in ("blue", "red")}
+    players = {name: HappoLearner([4], [2], BASE, seed=1, comm=comm) for name in ("blue", "red")}
     check_ranks_agree(players)
     with torch.no_grad():
         bias = players["red"].actors[0].mean.bias
@@ -81,7 +81,7 @@ def parted(comm: distributed.Communicator) -> str:
     return str(caught.value)
 
 
-def uneven(learner: Learner, experience: Callable[..., Batch], seed: int, void: float = 0.6) -> Batch:
+def uneven(learner: HappoLearner, experience: Callable[..., Batch], seed: int, void: float = 0.6) -> Batch:
     """Most that is void lies in the second half of the worlds, and most that is dead in the first."""
     batch, rng = experience(learner, seed, T, N), torch.Generator().manual_seed(seed)
     late = torch.arange(N) >= N // RANKS
@@ -130,7 +130,7 @@ def gap(a: Mapping[str, np.ndarray], b: Mapping[str, np.ndarray]) -> float:
 
 @pytest.mark.parametrize("name", [*VARIANTS, "one rank knows nothing"])
 def test_two_ranks_with_half_a_batch_each_learn_what_one_learns_from_the_whole(cases, ranks, name):
-    (state, told), start = cases[name].learn(), cases[name].learner().state()
+    (state, told), start = cases[name].learn(), cases[name].learner().save()
     for found, _ in ranks:
         split, figures = found[name]
         assert gap(split, state) < 1e-5
@@ -160,7 +160,7 @@ def test_where_nobody_knows_anything_nothing_is_learnt(cases, ranks):
     for found, _ in ranks:
         state, told = found["nobody knows"]
         assert told == {}
-        assert gap(state, cases["nobody knows"].learner().state()) == 0.0
+        assert gap(state, cases["nobody knows"].learner().save()) == 0.0
 
 
 def test_what_is_not_finite_on_one_rank_is_refused_by_all_before_anything_changes(cases, ranks):

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.learner.optimizer import Adam, maybe_compiled, step
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
@@ -40,14 +40,14 @@ def assert_alike(
     variant: dict[str, Any], device: str, experience, rounding: float, comm: Communicator = SINGLE_PROCESS
 ) -> None:
     compiled, plain = (
-        Learner(
+        HappoLearner(
             [4, 4, 3], [2, 2, 1], replace(BASE, **variant, compiled=on), 3, device, critic_size=SIGHT, comm=comm
         )
         for on in (True, False)
     )  # fmt: skip
     for seed in range(3):
         batch = experienced(experience, plain, seed, N=6)
-        one, other = compiled.update(batch), plain.update(batch)
+        one, other = compiled.learn(batch), plain.learn(batch)
         # HATRPO's natural gradient takes advantages, whose last digits differ, and later critics', ten times as hard.
         hard = variant.get("method") == "hatrpo"
         bound = (50 if seed else 5) * rounding if hard else rounding
@@ -57,8 +57,8 @@ def assert_alike(
         if variant.get("architecture", BASE.architecture).layer_norm:
             bound, figures = max(bound, 1e-5), max(figures, 5e-4)
         assert one == pytest.approx(other, rel=figures, abs=bound)
-        theirs = plain.state()
-        for name, array in compiled.state().items():
+        theirs = plain.save()
+        for name, array in compiled.save().items():
             np.testing.assert_allclose(array, theirs[name], rtol=bound, atol=bound, err_msg=name)
 
 
@@ -84,13 +84,13 @@ def test_what_ranks_tell_each_other_is_not_compiled(experience, eager):
 @pytest.mark.slow
 def test_a_minibatch_in_which_nothing_counts_changes_nothing(experience, eager):
     """With one known decision, two of three minibatches are empty."""
-    learner, plain = (Learner([4, 3], [2, 1], replace(BASE, compiled=on), 3) for on in (True, False))
+    learner, plain = (HappoLearner([4, 3], [2, 1], replace(BASE, compiled=on), 3) for on in (True, False))
     batch = experience(plain, seed=4)
     void = torch.ones_like(batch.void)
     void[3, 2] = False
     for each in (learner, plain):
-        each.update(batch._replace(void=void))
-    state, expected = learner.state(), plain.state()
+        each.learn(batch._replace(void=void))
+    state, expected = learner.save(), plain.save()
     for name, array in state.items():
         np.testing.assert_allclose(array, expected[name], rtol=1e-6, atol=1e-6, err_msg=name)
     assert {array.item() for name, array in state.items() if name.endswith(".step")} == {BASE.epochs}

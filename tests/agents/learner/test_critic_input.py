@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from agents.batch import Batch, clean
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from storage.blobs import arrays
 from tests.agents.paper import worst_gap
 from tests.agents.trios import FULL, PLAIN, new_learner
@@ -33,8 +33,8 @@ def test_a_critic_may_see_the_other_teams(experience, same):
             for seen, alive in zip(batch.others, batch.others_alive, strict=True):
                 seen[~alive] = garbage
         network = copy.deepcopy(learner.critic_learners[0].network)
-        figures = learner.update(batch)
-        states.append(learner.state())
+        figures = learner.learn(batch)
+        states.append(learner.save())
     assert same(*states)
     assert len(network.trunk.observation_mean) == 4 + 4 + 3 + 3 + 2
 
@@ -62,8 +62,8 @@ def test_a_critic_that_sees_something_else_learns_from_that_alone(critic_input, 
                     x[side.void] = garbage
         network = copy.deepcopy(learner.critic_learners[0].network)
         critic_batch = learner.critic_learners[0].evaluate(clean(batch))
-        figures = learner.update(batch)
-        states.append(learner.state())
+        figures = learner.learn(batch)
+        states.append(learner.save())
     assert same(*states)
     assert np.isfinite(list(figures.values())).all()
     seen = torch.cat([side.seen.flatten(0, 1) for side in batch.critic_views])
@@ -82,7 +82,7 @@ def test_a_critic_common_to_all_teams_learns_as_one_to_whom_all_of_them_were_wor
     config = replace(PLAIN, gamma=0.97, critic_input="same", value_norm=True)
     common = new_learner(config, critic_size=7)
     batch = with_sides(experience(common, seed=4, void=0.1), 3)
-    one = Learner([7], [2], replace(config, critic_input="own"), seed=3)
+    one = HappoLearner([7], [2], replace(config, critic_input="own"), seed=3)
     one.critic_learners[0].network.load_state_dict(common.critic_learners[0].network.state_dict())
     fields = [torch.cat(each, 1) for each in zip(*batch.critic_views, strict=True)]
     wide = experience(one, seed=5, N=3 * batch.rewards.shape[1])
@@ -104,14 +104,14 @@ def test_a_critic_common_to_all_teams_learns_as_one_to_whom_all_of_them_were_wor
 def test_such_a_critic_goes_on_from_its_checkpoint_as_if_nothing_had_been(critic_input, critic_views, experience, same):
     config = replace(FULL, critic_input=critic_input)
     learner = new_learner(config, critic_size=7)
-    learner.update(with_sides(experience(learner, seed=1, void=0.1), critic_views))
-    saved = arrays.to_bytes(learner.state())
-    assert {k.split(".")[0] for k in learner.state()} == {k.split(".")[0] for k in new_learner(FULL).state()}
+    learner.learn(with_sides(experience(learner, seed=1, void=0.1), critic_views))
+    saved = arrays.to_bytes(learner.save())
+    assert {k.split(".")[0] for k in learner.save()} == {k.split(".")[0] for k in new_learner(FULL).save()}
     then = with_sides(experience(learner, seed=9), critic_views, seed=5)
-    figures = learner.update(then)
+    figures = learner.learn(then)
     resumed = new_learner(config, seed=77, critic_size=7)
     resumed.load(arrays.from_bytes(saved))
-    assert resumed.update(then) == figures
-    assert same(resumed.state(), learner.state())
+    assert resumed.learn(then) == figures
+    assert same(resumed.save(), learner.save())
     with pytest.raises(ValueError, match=r"does not fit this learner: critic\.trunk\."):
-        new_learner(FULL).load(learner.state())
+        new_learner(FULL).load(learner.save())

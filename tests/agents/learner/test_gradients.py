@@ -13,7 +13,7 @@ from agents.batch import ActorBatch, Sequences
 from agents.devices.cuda_graphs import EagerRunner
 from agents.learner.actor_learner import surrogate_loss
 from agents.learner.critic_learner import value_loss
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.learner.metric_means import read_means
 from agents.learner.minibatches import mean_weights
 from agents.learner.trust_region import conjugate_gradient
@@ -154,9 +154,9 @@ def test_conjugate_gradients_solve_linear_systems():
     assert torch.equal(conjugate_gradient(lambda v: A @ v, torch.zeros_like(b), 5), torch.zeros_like(b))
 
 
-def hatrpo(**changes) -> Learner:
+def hatrpo(**changes) -> HappoLearner:
     config = replace(CONFIG, method="hatrpo", gamma=0.0, fixed_order=True, value_norm=False, **changes)
-    return Learner([4, 3], [2, 1], config, seed=0)
+    return HappoLearner([4, 3], [2, 1], config, seed=0)
 
 
 def test_a_step_goes_along_the_natural_gradient_as_far_as_the_divergence_allows(experience):
@@ -198,7 +198,7 @@ def test_no_step_leaves_the_region_and_every_step_gains(experience):
     for seed in range(4):
         batch = experience(learner, seed=seed, T=16, N=16)
         old_actors = copy.deepcopy(learner.actors)
-        figures = learner.update(batch)
+        figures = learner.learn(batch)
         with torch.no_grad():
             before, after = (
                 [a.gaussian(o) for a, o in zip(actors, batch.observations, strict=True)]
@@ -214,9 +214,9 @@ def test_a_policy_stays_where_no_try_is_good_enough(experience):
     region = TrustRegion(line_search_steps=1, accept_ratio=0.99, kl_threshold=0.05)
     stayed = []
     for seed in range(8):
-        learner = Learner([4], [2], replace(CONFIG, method="hatrpo", trust_region=region), seed)
+        learner = HappoLearner([4], [2], replace(CONFIG, method="hatrpo", trust_region=region), seed)
         before = [p.detach().clone() for p in learner.actors[0].parameters()]
-        figures = learner.update(experience(learner, seed=seed))
+        figures = learner.learn(experience(learner, seed=seed))
         same = all(torch.equal(a, b) for a, b in zip(before, learner.actors[0].parameters(), strict=True))
         assert figures["step_length"] == (0.0 if same else 1.0)
         assert (figures["kl"] == 0.0) == same
@@ -228,8 +228,8 @@ def test_a_step_out_of_the_region_is_shortened_however_much_it_gains(experience)
     """With the longest step the divergence would be 0.72 and 0.76."""
     region = TrustRegion(accept_ratio=0.1, kl_threshold=0.5)
     for seed in (1, 4):
-        learner = Learner([4], [2], replace(CONFIG, method="hatrpo", trust_region=region), seed)
-        figures = learner.update(experience(learner, seed=seed))
+        learner = HappoLearner([4], [2], replace(CONFIG, method="hatrpo", trust_region=region), seed)
+        figures = learner.learn(experience(learner, seed=seed))
         assert figures["step_length"] == pytest.approx(0.8)
         assert 0.3 < figures["kl"] <= 0.5
 
@@ -237,8 +237,8 @@ def test_a_step_out_of_the_region_is_shortened_however_much_it_gains(experience)
 def test_the_second_agent_climbs_on_what_the_first_has_made_of_the_advantage(experience):
     batch = experience(hatrpo(), seed=2, T=16, N=16)
     both, alone = hatrpo(), hatrpo()
-    both.update(batch)
-    alone.update(batch._replace(alive=[torch.zeros_like(batch.alive[0]), batch.alive[1]]))
+    both.learn(batch)
+    alone.learn(batch._replace(alive=[torch.zeros_like(batch.alive[0]), batch.alive[1]]))
     gap = max(
         float((a - b).detach().abs().max())
         for a, b in zip(both.actors[1].parameters(), alone.actors[1].parameters(), strict=True)

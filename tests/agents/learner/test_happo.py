@@ -35,7 +35,7 @@ def test_with_one_agent_happo_is_ppo(experience):
     flat = [x[0].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)]
     clipped = ppo(actor, *flat, standardised_advantage(learner, batch), PLAIN)
     before = copy.deepcopy(learner.actors[0])
-    learner.update(batch)
+    learner.learn(batch)
     assert 0.1 < clipped < 0.9
     assert worst_gap(actor, learner.actors[0]) < 1e-6
     assert worst_gap(before, learner.actors[0]) > 1e-2
@@ -55,7 +55,7 @@ def test_each_agent_learns_from_the_advantage_times_the_ratios_of_those_before_i
         ppo(without_M[i], obs, actions, old, A, PLAIN)
         M = M * (log_density(actor, obs, actions)[0].detach() - before).exp()
         spread.append(float(M.std()))
-    learner.update(batch)
+    learner.learn(batch)
     assert spread[0] > 0.05  # M is not 1 by the time it matters
     for i in range(3):
         assert worst_gap(expected[i], learner.actors[i]) < 1e-6
@@ -75,7 +75,7 @@ def test_the_team_moves_in_a_fresh_order_each_time_unless_it_is_fixed(experience
             for i, actor in enumerate(alone):
                 flat = [x[i].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs)]
                 ppo(actor, *flat, A, config)
-            learner.update(batch)
+            learner.learn(batch)
             movers |= {i for i in range(2) if worst_gap(alone[i], learner.actors[i]) < 1e-6}
         return movers
 
@@ -108,7 +108,7 @@ def test_the_value_loss_is_clipped_and_huber(value_norm, experience):
         )
         moved = int((kept != value).sum())
         linear, square = int(((target - value).abs() > 0.5).sum()), int(((target - value).abs() < 0.5).sum())
-    learner.update(batch)
+    learner.learn(batch)
     assert min(moved, linear, square) > 0  # every branch of the formula was taken
     assert worst_gap(critic, critic_of(learner)) < 1e-5
     assert worst_gap(critic_of(new_learner(2)), critic_of(learner)) > 1e-2
@@ -119,7 +119,7 @@ def test_observation_statistics_are_those_of_all_that_was_seen(experience):
     batches = [experience(learner, seed=s, N=n) for s, n in ((5, 3), (6, 8))]
     batches[1].observations[0].mul_(3.0).add_(5.0)
     for batch in batches:
-        learner.update(batch)
+        learner.learn(batch)
     seen = [torch.cat([b.observations[i].flatten(0, 1) for b in batches]) for i in range(2)]
     trunks = [*(actor.trunk for actor in learner.actors), critic_of(learner).trunk]
     for trunk, obs in zip(trunks, [*seen, torch.cat(seen, -1)], strict=True):
@@ -130,7 +130,7 @@ def test_observation_statistics_are_those_of_all_that_was_seen(experience):
 def test_what_actors_and_critics_say_stays_as_their_statistics_move(experience):
     """Else a policy that goes on where robots see other things is another one before it has learnt anything."""
     learner = new_learner(2, replace(FULL, lr=0.0, critic_lr=0.0))
-    learner.update(experience(learner, seed=5))
+    learner.learn(experience(learner, seed=5))
     first, then = experience(learner, seed=6), experience(learner, seed=6, N=40)
     then.observations[0].mul_(3.0).add_(5.0)
     networks = [learner.actors[0], critic_of(learner)]
@@ -142,7 +142,7 @@ def test_what_actors_and_critics_say_stays_as_their_statistics_move(experience):
             return [actor(seen[0]).mean, critic(seen[1])]
 
     before, read_means = said(), [network.trunk.observation_mean.clone() for network in networks]
-    learner.update(then)
+    learner.learn(then)
     assert all((m - n.trunk.observation_mean).abs().max() > 1 for m, n in zip(read_means, networks, strict=True))
     for was, now in zip(before, said(), strict=True):
         torch.testing.assert_close(now, was, atol=1e-5, rtol=1e-5)
@@ -153,10 +153,10 @@ def test_what_stood_still_and_moves_has_the_weights_that_it_had(experience):
     learner = new_learner(2, replace(FULL, lr=0.0, critic_lr=0.0))
     still, moving = (experience(learner, seed=s) for s in (5, 6))
     still.observations[0][..., 1] = 2.0
-    learner.update(still)
+    learner.learn(still)
     weights = learner.actors[0].trunk.hidden[0].weight
     before = weights.detach().clone()
-    learner.update(moving)
+    learner.learn(moving)
     assert learner.actors[0].trunk.observation_var[1] > 0.1
     torch.testing.assert_close(weights[:, 1], before[:, 1], atol=0, rtol=0)
     assert (weights[:, 0] / before[:, 0] - 1).abs().max() > 1e-3  # while those of what moved follow
@@ -166,11 +166,11 @@ def test_what_stood_still_and_moves_has_the_weights_that_it_had(experience):
 def test_values_are_those_that_advantages_are_taken_from_in_units_of_reward(experience, same, method):
     learner = new_learner(2, replace(FULL, method=method, gamma=0.0))
     for seed in range(3):  # the normaliser learns that rewards are around 2
-        learner.update(experience(learner, seed=seed))
+        learner.learn(experience(learner, seed=seed))
     batch = experience(learner, seed=4)
-    before = learner.state()
+    before = learner.save()
     values = learner.values(batch)
-    assert same(list(before.values()), list(learner.state().values()))
+    assert same(list(before.values()), list(learner.save().values()))
     seen = batch.observations if method == "ippo" else [torch.cat(list(batch.observations), -1)]
     for critic, found, obs in zip(learner.critic_learners, values, seen, strict=True):
         norm = critic.value_norm.state_dict()
@@ -186,12 +186,12 @@ def test_a_resting_team_keeps_its_policy_while_its_critic_follows(experience, sa
     config = replace(FULL, minibatches=1, fixed_order=True)
     resting, playing = (new_learner(2, config) for _ in range(2))
     batch = experience(resting, seed=4, void=0.2)
-    before = resting.state()
+    before = resting.save()
     figures = resting.update_critic_only(batch)
     assert figures.keys() == {"value_loss", "critic_grad_norm", "explained_variance"}
-    assert figures["value_loss"] == pytest.approx(playing.update(batch)["value_loss"], rel=1e-4)
+    assert figures["value_loss"] == pytest.approx(playing.learn(batch)["value_loss"], rel=1e-4)
 
-    after = resting.state()
+    after = resting.save()
     policy = [name for name in after if "actor." in name or "observation_" in name]
     assert same([before[name] for name in policy], [after[name] for name in policy])
     assert worst_gap(critic_of(resting), critic_of(playing)) < 1e-5
@@ -205,7 +205,7 @@ def test_figures_are_those_of_the_textbooks(experience):
     still = replace(PLAIN, lr=1e-12, critic_lr=1e-12, epochs=1)
     learner = new_learner(1, still)
     batch = experience(learner, seed=4)
-    figures = learner.update(batch)
+    figures = learner.learn(batch)
     obs, actions, old = (x[0].flatten(0, 1) for x in (batch.observations, batch.actions, batch.log_probs))
     log_probs, entropy = log_density(learner.actors[0], obs, actions)
     r = (log_probs - old).exp()
@@ -218,7 +218,7 @@ def test_figures_are_those_of_the_textbooks(experience):
     }
     for name, value in expected.items():
         assert figures[name] == pytest.approx(value.item(), rel=1e-4), name
-    first = [v for k, v in learner.state().items() if k.startswith("adam.actor.0.") and k.endswith(".exp_avg")]
+    first = [v for k, v in learner.save().items() if k.startswith("adam.actor.0.") and k.endswith(".exp_avg")]
     norm = math.sqrt(sum(float((m**2).sum()) for m in first)) / (
         1 - 0.9
     )  # of the gradient, which was scaled down by then
@@ -232,24 +232,24 @@ def test_going_on_from_a_checkpoint_is_going_on(updates, experience, same):
     learner = new_learner(2, FULL)
     first = [experience(learner, seed=s) for s in range(updates)]
     for batch in first:
-        learner.update(batch)
-    checkpoint = arrays.to_bytes(learner.state())
+        learner.learn(batch)
+    checkpoint = arrays.to_bytes(learner.save())
     then = experience(learner, seed=9)
-    diagnostics = learner.update(then)
+    diagnostics = learner.learn(then)
 
     resumed = new_learner(2, FULL, seed=123)
-    assert not same(resumed.state(), arrays.from_bytes(checkpoint))
+    assert not same(resumed.save(), arrays.from_bytes(checkpoint))
     resumed.load(arrays.from_bytes(checkpoint))
-    assert same(resumed.state(), arrays.from_bytes(checkpoint))
-    assert resumed.update(then) == diagnostics
-    assert same(resumed.state(), learner.state())
+    assert same(resumed.save(), arrays.from_bytes(checkpoint))
+    assert resumed.learn(then) == diagnostics
+    assert same(resumed.save(), learner.save())
 
 
 def test_a_state_is_a_copy(experience):
     learner = new_learner(1, FULL)
-    state = learner.state()
+    state = learner.save()
     before = {name: array.copy() for name, array in state.items()}
-    learner.update(experience(learner, seed=1))
+    learner.learn(experience(learner, seed=1))
     for name, array in state.items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
 
@@ -262,18 +262,18 @@ def test_a_state_is_a_copy(experience):
         (lambda s: s.update({"actor.1.activation": np.int32(2)}), r"actor\.1\.activation \(1 in all\)"),
         (lambda s: s["critic.value.weight"].fill(np.nan), r"not finite in critic\.value\.weight \(1 in all\)"),
         (
-            lambda s: s.update(new_learner(2, replace(PLAIN, architecture=Architecture((6,)))).state()),
+            lambda s: s.update(new_learner(2, replace(PLAIN, architecture=Architecture((6,)))).save()),
             "hidden.0.weight",
         ),
     ],
 )
 def test_a_checkpoint_that_does_not_fit_is_refused_whole(spoil, named, same):
-    learner, state = new_learner(2, seed=1), new_learner(2, seed=2).state()
-    before = learner.state()
+    learner, state = new_learner(2, seed=1), new_learner(2, seed=2).save()
+    before = learner.save()
     spoil(state)
     with pytest.raises(ValueError, match=named):
         learner.load(state)
-    assert same(before, learner.state())
+    assert same(before, learner.save())
 
 
 def test_learners_are_made_from_their_own_seed_alone(same):
@@ -282,8 +282,8 @@ def test_learners_are_made_from_their_own_seed_alone(same):
     torch.manual_seed(1)
     learner = new_learner(2, seed=7)
     assert torch.equal(torch.rand(3), following)
-    assert same(learner.state(), new_learner(2, seed=7).state())
-    assert not same(learner.state(), new_learner(2, seed=8).state())
+    assert same(learner.save(), new_learner(2, seed=7).save())
+    assert not same(learner.save(), new_learner(2, seed=8).save())
 
 
 def test_orders_that_a_gpu_sorts_are_orders_and_differ():

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from agents.batch import Batch
 from agents.errors import Diverged
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import HappoConfig
 from league.config.build import build
 from league.config.experiment import Config
@@ -57,11 +57,11 @@ def test_in_mappo_every_agent_learns_from_the_same_advantage(experience):
         A = (batch.rewards - learner.critic_learners[0].network(torch.cat(list(batch.observations), -1))).flatten()
     for i, actor in enumerate(expected):
         ppo(actor, lived(batch, i), standardised_advantages(A), PLAIN)
-    learner.update(batch)
+    learner.learn(batch)
     assert max(map(worst_gap, expected, learner.actors)) < 1e-6
 
     happo = new_learner(PLAIN)
-    happo.update(batch)
+    happo.learn(batch)
     assert worst_gap(happo.actors[0], learner.actors[0]) == 0.0  # M is 1 for the first
     assert worst_gap(happo.actors[1], learner.actors[1]) > 1e-4
 
@@ -79,7 +79,7 @@ def test_in_ippo_every_agent_has_its_own_critic_and_its_own_advantage(experience
         with torch.no_grad():
             A = (batch.rewards - critic(batch.observations[i])).flatten()[here]
         ppo(actor, tuple(x[here] for x in lived(batch, i)), standardised_advantages(A), PLAIN)
-    learner.update(batch)
+    learner.learn(batch)
     assert max(map(worst_gap, expected, learner.actors)) < 1e-6
     assert [len(c.network.trunk.observation_mean) for c in learner.critic_learners] == [4, 4, 3]
     assert min(worst_gap(old, new.network) for old, new in zip(critics, learner.critic_learners, strict=True)) > 1e-3
@@ -88,11 +88,11 @@ def test_in_ippo_every_agent_has_its_own_critic_and_its_own_advantage(experience
 @pytest.mark.parametrize("method", ["happo", "mappo", "ippo"])
 def test_alone_every_method_is_ppo(method, experience, same):
     one = {"observation_sizes": [4], "action_sizes": [2], "seed": 5}
-    ours, plain = (Learner(**one, config=replace(FULL, method=m)) for m in (method, "happo"))
+    ours, plain = (HappoLearner(**one, config=replace(FULL, method=m)) for m in (method, "happo"))
     for seed in range(2):
         batch = experience(plain, seed=seed, void=0.1)
-        assert ours.update(batch) == plain.update(batch)
-    assert same(ours.state(), plain.state())
+        assert ours.learn(batch) == plain.learn(batch)
+    assert same(ours.save(), plain.save())
 
 
 # What bounds a step ---------------------------------------------------------------------------------------------------
@@ -104,9 +104,9 @@ def test_passes_end_when_the_policy_has_moved_far_enough(experience):
     for stop in (None, 1e-9, 0.05, 1e9):
         learner = new_learner(replace(wild, target_kl=stop))
         batch = experience(learner, seed=3)
-        learner.update(batch)
-        counts[stop] = int(learner.state()["adam.actor.0.mean.bias.step"])
-        assert learner.state()["adam.critic.value.bias.step"] == 6
+        learner.learn(batch)
+        counts[stop] = int(learner.save()["adam.actor.0.mean.bias.step"])
+        assert learner.save()["adam.critic.value.bias.step"] == 6
     assert counts[None] == counts[1e9] == 6
     assert counts[1e-9] == 1
     assert counts[0.05] == 3
@@ -119,8 +119,8 @@ def test_the_step_size_follows_the_divergence(target, factor, experience):
     learner = new_learner(replace(config, desired_kl=target if target != 0.04 else 0.015))
     same_steps = new_learner(replace(config, lr=2e-3 * factor))
     batch = experience(learner, seed=3)
-    figures = learner.update(batch)
-    same_steps.update(batch)
+    figures = learner.learn(batch)
+    same_steps.learn(batch)
     assert figures["lr"] == pytest.approx(2e-3 * factor, rel=1e-5)
     assert 0.0075 < figures["kl"] < 0.03
     assert max(map(worst_gap, learner.actors, same_steps.actors)) < 1e-7
@@ -129,26 +129,26 @@ def test_the_step_size_follows_the_divergence(target, factor, experience):
 def test_the_adaptive_step_size_stays_within_bounds(experience):
     for target, bound in ((1e-9, 1e-5), (1e9, 1e-2)):
         learner = new_learner(replace(PLAIN, lr=1e-3, desired_kl=target, epochs=30))
-        learner.update(experience(learner, seed=3))
+        learner.learn(experience(learner, seed=3))
         assert [a.lr.item() for a in learner.actor_learners] == [bound] * 3
 
 
 def test_step_sizes_fall_to_nothing_over_the_steps_learnt_from(experience, same):
     learner = new_learner(replace(FULL, lr_decay_steps=4 * 48, normalise_observations=False))  # which moves weights too
     batches = [experience(learner, seed=s) for s in range(6)]
-    told = [learner.update(batch)["lr"] for batch in batches[:4]]
+    told = [learner.learn(batch)["lr"] for batch in batches[:4]]
     assert told == pytest.approx([0.02, 0.015, 0.01, 0.005])
-    before = learner.state()
-    assert learner.update(batches[4])["lr"] == 0.0
+    before = learner.save()
+    assert learner.learn(batches[4])["lr"] == 0.0
     weights = [k for k in before if k.startswith(("actor.", "critic.")) and "observation_" not in k]
-    assert same([before[k] for k in weights], [learner.state()[k] for k in weights])
+    assert same([before[k] for k in weights], [learner.save()[k] for k in weights])
 
     half = new_learner(replace(FULL, lr_decay_steps=2 * 48))
     constant = new_learner(replace(FULL, lr=0.01, critic_lr=0.025))
     half.steps += 48
-    half.update(batches[5])
-    constant.update(batches[5])
-    mine, theirs = half.state(), constant.state()
+    half.learn(batches[5])
+    constant.learn(batches[5])
+    mine, theirs = half.save(), constant.save()
     assert same({k: mine[k] for k in theirs}, theirs)
 
 
@@ -160,11 +160,11 @@ def test_half_the_digits_learn_nearly_the_same(experience):
     fresh = new_learner(FULL)
     for seed in range(2):
         batch = experience(full, seed=seed, void=0.1)
-        told = [each.update(batch) for each in (full, half)]
+        told = [each.learn(batch) for each in (full, half)]
     assert told[1] == pytest.approx(told[0], rel=0.15, abs=0.05)
     for ours, exact, start in zip(half.actors, full.actors, fresh.actors, strict=True):
         assert 0 < worst_gap(ours, exact) < 0.3 * worst_gap(start, exact)
-    assert {array.dtype for name, array in half.state().items() if ".weight" in name} == {np.dtype(np.float32)}
+    assert {array.dtype for name, array in half.save().items() if ".weight" in name} == {np.dtype(np.float32)}
 
 
 def test_tf32_is_for_the_update_alone(experience, same, monkeypatch):
@@ -177,13 +177,13 @@ def test_tf32_is_for_the_update_alone(experience, same, monkeypatch):
         monkeypatch.setattr(
             learner.critic_learners[0], "learn", lambda *x, learn=learn: (seen.append(matmul.fp32_precision), learn(*x))
         )
-        learner.update(batch)
+        learner.learn(batch)
         assert matmul.fp32_precision == before
     assert seen == [before] * FULL.epochs + ["tf32"] * FULL.epochs
-    assert same(exact.state(), coarse.state())  # a CPU knows no such thing
+    assert same(exact.save(), coarse.save())  # a CPU knows no such thing
     batch.rewards.fill_(float("nan"))
     with pytest.raises(Diverged):
-        coarse.update(batch)
+        coarse.learn(batch)
     assert matmul.fp32_precision == before
 
 
@@ -203,10 +203,10 @@ def test_equal_robots_share_an_actor_and_learn_it_from_all_that_they_did(experie
     ppo(pair, both, torch.cat([A, A]), PLAIN)
     first, second = (density(pair, both) - before).exp().chunk(2)
     ppo(single, lived(batch, 2), first * second * A, PLAIN)  # M is the product of both agents' ratios
-    learner.update(batch)
+    learner.learn(batch)
     assert worst_gap(pair, learner.actors[0]) < 1e-6
     assert worst_gap(single, learner.actors[2]) < 1e-6
-    policies = learner.policies()
+    policies = learner.export()
     assert len(policies) == 3
     assert all(torch.equal(policies[0][k], policies[1][k]) for k in policies[0])
 
@@ -221,7 +221,7 @@ def test_who_is_equal_is_told_by_kind_and_sizes():
 def test_shared_statistics_are_those_of_all_that_share(experience):
     learner = new_learner(replace(FULL, share_actors=True))
     batch = experience(learner, seed=5)
-    learner.update(batch)
+    learner.learn(batch)
     seen = torch.cat([batch.observations[0], batch.observations[1]]).flatten(0, 1)
     torch.testing.assert_close(learner.actors[1].trunk.observation_mean, seen.mean(0), atol=1e-5, rtol=1e-5)
     assert [set(n.tolist()) for n in learner.observed] == [{96}, {48}, {48}]

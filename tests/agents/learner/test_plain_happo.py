@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from agents.batch import Batch
 from agents.learner.advantages import advantages
-from agents.learner.happo import Learner, draw_seed
+from agents.learner.happo import HappoLearner, draw_seed
 from agents.settings import Architecture, HappoConfig
 
 DEFAULT = HappoConfig()
@@ -25,7 +25,7 @@ PAPER = HappoConfig(
 class Plain:
     """The learner without a variant, a class or a setting too many; it starts from another's weights."""
 
-    def __init__(self, learner: Learner):
+    def __init__(self, learner: HappoLearner):
         (critic,) = learner.critic_learners
         self.actors, self.critic, self.norm = copy.deepcopy((learner.actors, critic.network, critic.value_norm))
         self.rng, self.shuffle_rng = torch.Generator(), torch.Generator()
@@ -103,18 +103,18 @@ class Plain:
     "config", [DEFAULT, PAPER, replace(DEFAULT, minibatches=3)], ids=["default", "paper", "uneven"]
 )
 def test_the_default_learner_is_plain_happo(config, experience):
-    learner = Learner([4, 3, 5], [2, 1, 3], config, seed=3)
+    learner = HappoLearner([4, 3, 5], [2, 1, 3], config, seed=3)
     plain = Plain(learner)
     for seed in range(3):
         batch = experience(learner, seed=seed, void=0.1)
         rng = torch.Generator().manual_seed(seed)
         batch = batch._replace(alive=[torch.rand(a.shape, generator=rng) < 0.8 for a in batch.alive])
-        learner.update(batch)
+        learner.learn(batch)
         plain.update(batch)
     modules = [*zip(plain.actors, learner.actors, strict=True), (plain.critic, learner.critic_learners[0].network)]
     for ours, theirs in (*modules, (plain.norm, learner.critic_learners[0].value_norm)):
         for name, tensor in ours.state_dict().items():
             torch.testing.assert_close(tensor, theirs.state_dict()[name], atol=1e-6, rtol=1e-6, msg=name)
     assert torch.equal(plain.rng.get_state(), learner.rng.get_state())
-    fresh = Learner([4, 3, 5], [2, 1, 3], config, seed=3)
+    fresh = HappoLearner([4, 3, 5], [2, 1, 3], config, seed=3)
     assert not torch.equal(fresh.actors[2].mean.weight, learner.actors[2].mean.weight)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from agents.batch import Batch, CriticBatch, Sequences, clean
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.networks import GRU
 from agents.settings import Architecture, HappoConfig
 from tests.agents.memories import cell_of, evaluate_sequence, scrambled
@@ -69,7 +69,7 @@ def test_a_chunk_as_long_as_the_rollout_is_the_plain_computation(experience):
         torch.nn.utils.clip_grad_norm_(network.parameters(), WHOLE.max_grad_norm)
         optimizer.step()
     fresh = copy.deepcopy(learner)
-    learner.update(batch)
+    learner.learn(batch)
     for expected, found, before in (
         (actor, learner.actors[0], fresh.actors[0]),
         (critic, learner.critic_learners[0].network, fresh.critic_learners[0].network),
@@ -80,7 +80,7 @@ def test_a_chunk_as_long_as_the_rollout_is_the_plain_computation(experience):
             assert float((mine[name] - old_ones[name]).detach().abs().max()) > 1e-4, name
 
 
-def critique_of(learner: Learner, batch: Batch) -> CriticBatch:
+def critique_of(learner: HappoLearner, batch: Batch) -> CriticBatch:
     return learner.critic_learners[0].evaluate(clean(batch))
 
 
@@ -150,9 +150,9 @@ def test_what_followed_is_valued_as_the_next_decision_sees_it(experience):
 def test_after_a_batch_in_which_all_is_void_nothing_is_remembered(experience):
     learner = scrambled(WHOLE, sizes=([4], [2]))
     batch = experience(learner, seed=2)
-    learner.update(batch)
+    learner.learn(batch)
     assert [m.shape for m in learner.final_memories] == [(6, 4)]
-    assert learner.update(batch._replace(void=torch.ones_like(batch.void))) == {}
+    assert learner.learn(batch._replace(void=torch.ones_like(batch.void))) == {}
     assert learner.final_memories == ()
 
 
@@ -173,7 +173,7 @@ def test_what_a_void_decision_holds_changes_nothing(experience, same):
             for memory in (*batch.memories, batch.critic_memories):  # before a chunk with which an episode begins
                 for number, held in enumerate(memory):
                     held[batch.first[0][2 * number]] = garbage
-        learner.update(batch)
-        states.append((learner.state(), list(learner.final_memories)))
+        learner.learn(batch)
+        states.append((learner.save(), list(learner.final_memories)))
     assert same(states[0], states[1])
     assert same(states[0], states[2])

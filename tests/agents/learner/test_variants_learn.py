@@ -10,7 +10,7 @@ import torch
 import arenas
 from agents.batch import Batch
 from agents.bridge import common_critic_size, team_batch, to_jax
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import stack_policies
 from agents.rollout.metrics import rollout_metrics
 from agents.rollout.rollout import make_reset, make_rollout, scripts_for
@@ -20,9 +20,9 @@ XOR = torch.tensor([[0.0, 1.0], [1.0, 0.0]])  # one of two robots shall go, and 
 GO = HappoConfig(Architecture((8,)), lr=0.05, gamma=0.0, entropy_coef=0.0, epochs=4, minibatches=1, fixed_order=True)
 
 
-def two_alike(config: HappoConfig) -> Learner:
+def two_alike(config: HappoConfig) -> HappoLearner:
     """Two agents that begin alike, and go with a probability of a third."""
-    learner = Learner([1, 1], [2, 2], config, seed=0)
+    learner = HappoLearner([1, 1], [2, 2], config, seed=0)
     with torch.no_grad():
         learner.actors[0].mean.bias.copy_(torch.tensor([0.5, 0.0]))
     for actor in learner.actors[1:]:
@@ -30,7 +30,7 @@ def two_alike(config: HappoConfig) -> Learner:
     return learner
 
 
-def play(learner: Learner, rng: torch.Generator) -> Batch:
+def play(learner: HappoLearner, rng: torch.Generator) -> Batch:
     """64 games, and the same with the robots in each other's places: the batch prefers nobody either."""
     obs = torch.ones(1, 128, 1)
     with torch.no_grad():
@@ -43,7 +43,7 @@ def play(learner: Learner, rng: torch.Generator) -> Batch:
     return Batch([obs] * 2, [obs] * 2, actions, log_probs, [yes] * 2, [yes] * 2, XOR[first, second], yes, no, no)
 
 
-def payoff(learner: Learner) -> float:
+def payoff(learner: HappoLearner) -> float:
     """What both expect from 4,000 games."""
     rng, obs = torch.Generator().manual_seed(99), torch.ones(4000, 1)
     with torch.no_grad():
@@ -65,7 +65,7 @@ def test_who_goes_first_matters_where_two_alike_must_do_unlike_things(variant, c
     learner, rng = two_alike(replace(GO, **variant)), torch.Generator().manual_seed(1)
     start = payoff(learner)
     for _ in range(40):
-        learner.update(play(learner, rng))
+        learner.learn(play(learner, rng))
     assert 0.35 < start < 0.5
     assert (payoff(learner) > 0.75) if climbs else (payoff(learner) < 0.55)
 
@@ -102,16 +102,18 @@ def test_every_variant_learns_the_answer_to_rock(variant, game):
     arena, worlds, rollout = game
     worlds = jax.tree.map(lambda x: x.copy(), worlds)  # a rollout uses them up
     config = replace(HappoConfig(Architecture((8,)), lr=0.01), **variant)
-    learner = Learner([1], [3], config, seed=0, device="auto", others=[1], critic_size=common_critic_size(arena.teams))
+    learner = HappoLearner(
+        [1], [3], config, seed=0, device="auto", others=[1], critic_size=common_critic_size(arena.teams)
+    )
     others = [arena.teams[1]] if config.critic_input == "all" else []
     common = arena.teams if config.critic_input == "same" else []
     rock = stack_policies([list(scripts_for(arena, "chooser")).index("rock")] * 2)
     scores = []
     for iteration in range(20):
-        stacks = {"blue/0": stack_policies(to_jax(learner.policies()) * 2), "red/0": rock}
+        stacks = {"blue/0": stack_policies(to_jax(learner.export()) * 2), "red/0": rock}
         worlds, trajectory = rollout(stacks, worlds, jax.random.key(iteration))
         seen = {"others": others, "common": common}
-        learner.update(team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=0.0, **seen))
+        learner.learn(team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=0.0, **seen))
         scores.append(rollout_metrics(trajectory, 0, slice(None))["score"])
     assert scores[0] < 0.6
     assert scores[-1] > 0.8
@@ -124,14 +126,14 @@ def test_a_critic_of_the_whole_state_teaches_a_puck_the_way_to_the_flag():
     rollout = make_rollout(arena, length=40, privileged=True)
     worlds = make_reset(arena, stagger=False)(jax.random.split(jax.random.key(1), 64))
     config = HappoConfig(Architecture((16,)), lr=0.01, critic_lr=0.01, critic_input="privileged")
-    learner = Learner([6], [2], config, seed=0, device="auto", critic_size=6 + arena.privileged_size)
+    learner = HappoLearner([6], [2], config, seed=0, device="auto", critic_size=6 + arena.privileged_size)
     idle = stack_policies([list(scripts_for(arena, "puck")).index("idle")] * 2)
     scores, explained = [], []
     for iteration in range(14):
-        stacks = {"blue/0": stack_policies(to_jax(learner.policies()) * 2), "red/0": idle}
+        stacks = {"blue/0": stack_policies(to_jax(learner.export()) * 2), "red/0": idle}
         worlds, trajectory = rollout(stacks, worlds, jax.random.key(iteration))
         batch = team_batch(trajectory, arena.teams[0], 0, slice(None), shaping=1.0, privileged=True)
-        explained.append(learner.update(batch)["explained_variance"])
+        explained.append(learner.learn(batch)["explained_variance"])
         scores.append(rollout_metrics(trajectory, 0, slice(None))["score"])
     assert scores[0] < 0.6
     assert scores[-1] > 0.8
@@ -144,18 +146,18 @@ def test_the_order_of_teams_changes_no_teams_update(game, same):
     states = []
     for order in ((0, 1), (1, 0)):
         learners = [
-            Learner([1], [3], HappoConfig(Architecture((8,)), critic_input="all"), seed, "auto", others=[1])
+            HappoLearner([1], [3], HappoConfig(Architecture((8,)), critic_input="all"), seed, "auto", others=[1])
             for seed in (1, 2)
         ]
         stacks = {
-            f"{team}/0": stack_policies(to_jax(learner.policies()) * 2)
+            f"{team}/0": stack_policies(to_jax(learner.export()) * 2)
             for team, learner in zip(("blue", "red"), learners, strict=True)
         }
         _, trajectory = rollout(stacks, jax.tree.map(lambda x: x.copy(), worlds), jax.random.key(0))
         for team in order:
-            learners[team].update(
+            learners[team].learn(
                 team_batch(trajectory, arena.teams[team], team, slice(None), 1.0, others=[arena.teams[1 - team]])
             )
-        states.append([learner.state() for learner in learners])
+        states.append([learner.save() for learner in learners])
     assert same(*states)
     assert not same(states[0][0], states[0][1])

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from agents.errors import Diverged
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from tests.agents.paper import FULL, PLAIN, critic_of, log_density, new_learner, ppo, worst_gap
 
 
@@ -24,8 +24,8 @@ def test_what_a_void_decision_holds_changes_nothing(experience, same):
                 tensor[batch.void] = garbage
             for tensor in batch.observations:
                 tensor[batch.void] *= garbage
-        learner.update(batch)
-        states.append(learner.state())
+        learner.learn(batch)
+        states.append(learner.save())
     assert same(states[0], states[1])
     assert same(states[0], states[2])
     assert all(np.isfinite(array).all() for array in states[0].values())
@@ -48,8 +48,8 @@ def test_the_numbers_of_who_is_out_of_the_game_change_nothing(experience, same):
                 for tensor in (batch.observations[i], batch.actions[i], batch.log_probs[i]):
                     tensor[~alive] = garbage
                 batch.next_observations[i][~batch.next_alive[i]] = garbage
-        learner.update(batch)
-        states.append(learner.state())
+        learner.learn(batch)
+        states.append(learner.save())
     assert same(states[0], states[1])
     assert same(states[0], states[2])
     assert all(np.isfinite(array).all() for array in states[0].values())
@@ -71,7 +71,7 @@ def test_agents_learn_from_what_they_lived_through(experience):
         before = log_density(actor, obs, actions)[0].detach()
         ppo(actor, obs, actions, old, (M * A)[alive[i]], PLAIN)
         M[alive[i]] *= (log_density(actor, obs, actions)[0].detach() - before).exp()
-    learner.update(batch)
+    learner.learn(batch)
     for one, other in zip(expected, learner.actors, strict=True):
         assert worst_gap(one, other) < 1e-6
 
@@ -80,7 +80,7 @@ def test_who_was_out_all_the_time_stays_as_it_was(experience):
     learner = new_learner(2, FULL)
     batch = experience(learner, seed=4)
     before = [copy.deepcopy(actor) for actor in learner.actors]
-    learner.update(batch._replace(alive=[batch.alive[0], torch.zeros_like(batch.alive[1])]))
+    learner.learn(batch._replace(alive=[batch.alive[0], torch.zeros_like(batch.alive[1])]))
     assert worst_gap(before[0], learner.actors[0]) > 1e-3
     assert worst_gap(before[1], learner.actors[1]) == 0.0
     assert [set(n.tolist()) for n in learner.observed] == [{48}, {0}, {48}]
@@ -88,10 +88,10 @@ def test_who_was_out_all_the_time_stays_as_it_was(experience):
 
 def test_nothing_but_void_decisions_is_no_update(experience, same):
     learner = new_learner(2, FULL)
-    before = learner.state()
+    before = learner.save()
     batch = experience(learner, seed=4)
-    assert learner.update(batch._replace(void=torch.ones_like(batch.void))) == {}
-    assert same(before, learner.state())
+    assert learner.learn(batch._replace(void=torch.ones_like(batch.void))) == {}
+    assert same(before, learner.save())
 
 
 def test_a_minibatch_in_which_nothing_counts_changes_nothing(experience):
@@ -100,9 +100,9 @@ def test_a_minibatch_in_which_nothing_counts_changes_nothing(experience):
     batch = experience(learner, seed=4)
     only = torch.ones_like(batch.void)
     only[3, 2] = False
-    figures = [each.update(batch._replace(void=only)) for each in (learner, whole)]
+    figures = [each.learn(batch._replace(void=only)) for each in (learner, whole)]
     assert figures[0] == pytest.approx(figures[1], rel=1e-5)
-    states = [each.state() for each in (learner, whole)]
+    states = [each.save() for each in (learner, whole)]
     for name in states[0].keys() - {"rng"}:
         np.testing.assert_allclose(states[0][name], states[1][name], rtol=1e-6, atol=1e-7, err_msg=name)
     steps = {array.item() for name, array in states[0].items() if name.endswith(".step")}
@@ -119,7 +119,7 @@ def with_garbage(batch, field: str, garbage: float, agent: int = 1):
     return batch
 
 
-@pytest.mark.parametrize("update", [Learner.update, Learner.update_critic_only])
+@pytest.mark.parametrize("update", [HappoLearner.learn, HappoLearner.update_critic_only])
 @pytest.mark.parametrize(
     ("field", "garbage", "named"),
     [
@@ -133,10 +133,10 @@ def test_what_no_update_can_learn_from_is_refused_before_anything_changes(
     field, garbage, named, update, experience, same
 ):
     learner = new_learner(2, FULL)
-    before = learner.state()
+    before = learner.save()
     with pytest.raises(Diverged, match=named):
         update(learner, with_garbage(experience(learner, seed=4, void=0.2), field, garbage))
-    assert same(before, learner.state())
+    assert same(before, learner.save())
 
 
 def test_a_broken_policy_is_noticed_though_it_makes_every_world_void(experience):
@@ -144,7 +144,7 @@ def test_a_broken_policy_is_noticed_though_it_makes_every_world_void(experience)
     batch = experience(learner, seed=4)
     with torch.no_grad():
         learner.actors[1].mean.weight[0, 0] = math.nan
-    for update in (learner.update, learner.update_critic_only):
+    for update in (learner.learn, learner.update_critic_only):
         with pytest.raises(Diverged, match=r"actor\.1\.mean\.weight"):
             update(batch._replace(void=torch.ones_like(batch.void)))
 
@@ -154,7 +154,7 @@ def test_losses_and_gradients_that_overflow_are_named(experience):
     batch = experience(learner, seed=4)
     batch.log_probs[0].sub_(200.0)  # ratios of e²⁰⁰
     with pytest.raises(Diverged, match=r"not finite: policy_loss, entropy, ratio and 2 more"):
-        learner.update(batch)
+        learner.learn(batch)
     batch.rewards.mul_(1e25)
     with pytest.raises(Diverged, match="not finite: value_loss, critic_grad_norm"):
         new_learner(2, replace(PLAIN, huber_delta=1e30)).update_critic_only(batch)
@@ -165,4 +165,4 @@ def test_weights_that_overflow_are_noticed_in_the_update_that_made_them_so(exper
     (critic,) = learner.critic_learners
     critic.optimizer.tensors()["value.bias.exp_avg"].fill_(1e15)
     with pytest.raises(Diverged, match=r"not finite: critic\.value\.bias$"):
-        learner.update(experience(learner, seed=4))
+        learner.learn(experience(learner, seed=4))

@@ -11,7 +11,7 @@ import torch
 import arenas
 from agents.batch import clean
 from agents.bridge import team_batch, to_jax
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import PolicyStack, act, memory_size, policy_params, stack_policies, update_memory
 from agents.rollout.rollout import Trajectory, Worlds, make_play, make_reset, make_restart, make_rollout, with_memory
 from agents.settings import Architecture, HappoConfig
@@ -35,11 +35,11 @@ def echo() -> Arena:
 # In rollouts ----------------------------------------------------------------------------------------------------------
 
 
-def rolled(arena: Arena, learner: Learner, rollouts: int = 2) -> list[tuple[Trajectory, Worlds]]:
+def rolled(arena: Arena, learner: HappoLearner, rollouts: int = 2) -> list[tuple[Trajectory, Worlds]]:
     """Rollouts of 20 decisions that go on from each other, and the worlds after each."""
     rollout = make_rollout(arena, 20, learner.config.sequence)
     worlds = make_reset(arena)(jax.random.split(jax.random.key(1), WORLDS))
-    stacks, found = {"pupil/0": stack_policies(to_jax(learner.policies()))}, []
+    stacks, found = {"pupil/0": stack_policies(to_jax(learner.export()))}, []
     for number in range(rollouts):
         worlds, trajectory = rollout(stacks, with_memory(worlds, stacks), jax.random.key(number))
         found.append((trajectory, jax.tree.map(lambda x: x.copy(), worlds)))
@@ -82,7 +82,7 @@ def test_memory_is_that_of_the_episode(echo):
 def test_who_begins_anew_remembers_nothing_and_the_others_everything(echo):
     """As where others sit down: `make_restart` forgets what whoever sat there before remembered."""
     learner = scrambled(HappoConfig(KINDS["plain"], chunk_length=4))
-    stacks, (_, worlds) = {"pupil/0": stack_policies(to_jax(learner.policies()))}, rolled(echo, learner, 1)[0]
+    stacks, (_, worlds) = {"pupil/0": stack_policies(to_jax(learner.export()))}, rolled(echo, learner, 1)[0]
     where, keys = jnp.arange(WORLDS) % 3 == 0, jax.random.split(jax.random.key(9), WORLDS)
     restarted = make_restart(echo, stagger=False)(worlds, keys, where)
     rollout = make_rollout(echo, 4, 4)
@@ -110,7 +110,7 @@ def test_a_rollout_is_a_whole_number_of_chunks(echo):
 @pytest.mark.optimised
 def test_chunks_change_nothing_but_what_is_told_of_memory(echo, same):
     learner = scrambled(HappoConfig(KINDS["plain"], chunk_length=4))
-    stacks = {"pupil/0": stack_policies(to_jax(learner.policies()))}
+    stacks = {"pupil/0": stack_policies(to_jax(learner.export()))}
     found = []
     for chunk in (None, 4, 2):
         worlds = with_memory(make_reset(echo)(jax.random.split(jax.random.key(1), WORLDS)), stacks)
@@ -200,17 +200,17 @@ def test_who_should_remember_cannot_act_without_memory(member):
 def test_who_remembers_can_repeat_what_was_said_and_nobody_else(recurrent, learns, echo):
     """Chance is a half. The answer is due four decisions after the cue, and all that is seen by then is that it is."""
     config = HappoConfig(Architecture((16,), recurrent=recurrent), lr=0.01, critic_lr=0.01, chunk_length=10)
-    learner, rollout = Learner([2], [1], config, seed=0), make_rollout(echo, 20, config.sequence)
+    learner, rollout = HappoLearner([2], [1], config, seed=0), make_rollout(echo, 20, config.sequence)
     worlds, critic_memories = make_reset(echo)(jax.random.split(jax.random.key(1), 128)), ()
     for iteration in range(25):
-        stacks = {"pupil/0": stack_policies(to_jax(learner.policies()))}
+        stacks = {"pupil/0": stack_policies(to_jax(learner.export()))}
         worlds, trajectory = rollout(stacks, with_memory(worlds, stacks), jax.random.key(iteration))
-        figures = learner.update(
+        figures = learner.learn(
             team_batch(trajectory, echo.teams[0], 0, slice(None), 0.0, critic_memories=critic_memories)
         )
         critic_memories = learner.final_memories
     games = make_play(echo)(
-        {"pupil/0": stack_policies(to_jax(learner.policies()))}, jax.random.split(jax.random.key(7), 512)
+        {"pupil/0": stack_policies(to_jax(learner.export()))}, jax.random.split(jax.random.key(7), 512)
     )
     score = float(games.score.mean())
     if learns:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import policy_params, stack_policies
 from agents.policy.networks import Actor
 from agents.rollout.rollout import PlayedEpisodes, Trajectory, make_play, make_reset, scripts_for
@@ -21,7 +21,7 @@ ARCHITECTURE = Architecture((8,), "elu")
 
 @pytest.fixture(scope="module")
 def actors(scramble) -> dict[str, Actor]:
-    fresh = Learner([20], [2], HappoConfig(ARCHITECTURE), seed=3).actors[0]
+    fresh = HappoLearner([20], [2], HappoConfig(ARCHITECTURE), seed=3).actors[0]
     wide = scramble(2, Architecture((24, 5), layer_norm=True))
     return {"a": scramble(0, ARCHITECTURE), "b": scramble(1, ARCHITECTURE), "wide": wide, "fresh": fresh}
 

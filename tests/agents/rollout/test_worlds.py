@@ -7,7 +7,7 @@ import pytest
 
 from agents.bridge import team_batch, to_jax
 from agents.errors import Diverged
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import stack_policies
 from agents.rollout.metrics import rollout_metrics
 from agents.rollout.rollout import Trajectory, make_reset, make_restart, scripts_for
@@ -106,16 +106,16 @@ def test_a_rollout_is_compiled_once_whoever_sits_and_wherever_it_comes_from(rese
 
 
 def test_a_policy_that_is_not_finite_breaks_its_worlds_is_blamed_and_noticed(short_sumo, reset, collect):
-    learner = Learner([20], [2], HappoConfig(Architecture((8,), "elu")), seed=0)
+    learner = HappoLearner([20], [2], HappoConfig(Architecture((8,), "elu")), seed=0)
     learner.actors[0].mean.bias.data.fill_(np.nan)
-    (broken,) = to_jax(learner.policies())
+    (broken,) = to_jax(learner.export())
     trajectory = collect(reset(KEYS), broken)[1]
     assert trajectory.void.all()
     assert trajectory.at_fault[..., 0].all()
     assert not trajectory.at_fault[..., 1].any()
     blue = short_sumo.teams[0]
     with pytest.raises(Diverged, match="agent 0's actions"):
-        learner.update(team_batch(jax.tree.map(jnp.asarray, trajectory), blue, 0, slice(None), 1.0))
+        learner.learn(team_batch(jax.tree.map(jnp.asarray, trajectory), blue, 0, slice(None), 1.0))
     figures = rollout_metrics(trajectory, 0, slice(None))
     assert figures["voids"] == figures["own_voids"] == trajectory.void.size
     assert rollout_metrics(trajectory, 1, slice(None))["own_voids"] == 0

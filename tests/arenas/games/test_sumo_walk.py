@@ -85,7 +85,7 @@ def test_lowest_points_are_those_of_mujocos_shapes(walk, seed):
     torso = min(lowest(model, data, f"torso_{side}") for side in ("left", "right"))
     assert float(low.torso) == pytest.approx(torso, abs=1e-5)
     for i, leg in enumerate(("LF", "LH", "RF", "RH")):
-        assert float(low.thighs[i]) == pytest.approx(lowest(model, data, f"{leg}_thigh"), abs=1e-5)
+        assert float(low.limbs[i]) == pytest.approx(lowest(model, data, f"{leg}_thigh"), abs=1e-5)
         assert float(low.feet[i]) == pytest.approx(lowest(model, data, f"{leg}_foot"), abs=1e-5)
 
 
@@ -97,7 +97,7 @@ def test_what_is_below_the_ground_is_what_touches_it(walk):
         own = {name.removeprefix("blue/0/") for pair in pairs if "ground" in pair for name in pair}
         assert (low.torso <= 0) == bool(own & {"torso_left", "torso_right"})
         for i, leg in enumerate(("LF", "LH", "RF", "RH")):
-            assert (low.thighs[i] <= 0) == (f"{leg}_thigh" in own)
+            assert (low.limbs[i] <= 0) == (f"{leg}_thigh" in own)
             assert (low.feet[i] <= 0) == (f"{leg}_foot" in own)
         touched |= own
     assert {"torso_left", "LF_thigh", "RH_foot"} <= touched  # the draw has all of them

@@ -54,9 +54,9 @@ def folder(tmp_path, monkeypatch):
         (("run", "--training.worlds", "1e30"), "expected a whole number"),
         (
             ("run", "--training.schedule.period_steps", "0"),
-            "period_steps is 0; a turn lasts 1 environment step or more",
+            "period_steps is 0; a phase lasts 1 environment step or more",
         ),
-        (("run", "--training.schedule.until_score", "0.7"), "ends a turn of leapfrog, and kind is 'simultaneous'"),
+        (("run", "--training.schedule.until_score", "0.7"), "ends a phase of leapfrog, and kind is 'simultaneous'"),
         (("run", "--training.opponents.victim", "idle"), "does nothing with kind = 'latest'; use kind = 'fixed'"),
         (
             ("run", "--training.opponents.kind", "fixed", "--training.opponents.victim", "blue@7"),

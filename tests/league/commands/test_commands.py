@@ -21,6 +21,7 @@ from league.commands.cli import main
 from league.queries.match_players import players_of
 from league.queries.query import Open
 from league.queries.recordings import RecordingQuery, chosen, load
+from storage.errors import StorageError
 from storage.recordings.recording import headers
 from storage.store import Store
 from tests.league.conftest import ENVIRONMENT, ROOT, TINY, call, said
@@ -238,3 +239,35 @@ def test_a_damaged_recording_is_named(tiny_league, tmp_path):
     assert done.returncode == 2
     assert match.recording in done.stderr
     assert not (tmp_path / "out.rrd").exists()
+
+
+def test_recordings_and_policies_are_open_to_python(tiny_league):
+    folder, _ = tiny_league
+    with league.open(str(folder / "league-data")) as opened:
+        recorded = opened.recordings()
+        assert set(recorded.match) == set(opened.matches().query("recorded").match)
+        episode, swapped = opened.episodes(int(recorded.match.iloc[-1]))
+        assert set(episode.positions) == set(episode.actions) == {"blue/0", "red/0"}
+        steps = len(episode.time)
+        assert {path.shape for path in episode.positions.values()} == {(steps, 3)}
+        assert episode.rewards.shape == (steps, 2)
+        assert swapped.header.sides == episode.header.sides[::-1]
+        assert len(episode.events) == len(episode.recording.events)
+        for name in ("blue", "pusher", "random"):
+            policy = opened.policy(name)
+            actions = policy(np.zeros((3, policy.observation_size)))
+            assert actions.shape == (3, policy.action_size)
+        payoff = opened.payoff(newest=True)
+        assert payoff.scores.shape == payoff.games.shape
+        assert opened.explain("blue").probability.sum() == pytest.approx(1.0)
+        with pytest.raises(StorageError, match="a recording is chosen by match, episode, best"):
+            opened.recording(loudest=True)
+
+
+def test_presets_are_listed_a_line_each_and_printed_in_full(capsys):
+    from league.config import experiment, presets
+
+    rows = json.loads(said(capsys, "presets", "--format", "json")[1])
+    assert [row["preset"] for row in rows] == list(presets.PRESETS)
+    assert all(row["what"].endswith(".") and "\n" not in row["what"] for row in rows)
+    assert experiment.loads(said(capsys, "presets", "duel")[1]) == presets.duel()

@@ -15,6 +15,7 @@ WORDS = {
     "rate": ["log.csv"], "watch": ["1"], "export-match": ["1"], "gate": ["blue@1", "red@1"], "unpack": ["cup.zip"],
     "play": ["blue@1", "red@1"], "exploit": ["blue@1"], "sprt": ["1", "2", "3", "4", "5"], "pack": ["new.zip"],
     "export": ["blue@1"], "import": ["anymal-push"], "check": ["sumo-1v1"], "log": ["curves"],
+    "sweep": ["sweep.toml"], "compare": ["cup"],
 }  # fmt: skip
 BLOBS = (
     f"s3://k:{SECRET}@b", f"s3://b/x?secret={SECRET}", f"s3:k:{SECRET}@b", f"ftp://k:{SECRET}@host/b",
@@ -25,7 +26,9 @@ STORES = (
     f"postgresql//league:{SECRET}@127.0.0.1/db", f"postgresql://127.0.0.1:1/db?password={SECRET}",
     f"sqlite://league:{SECRET}@h/x.db",
 )  # fmt: skip
-TAKE_BLOBS = [name for name in cli.COMMANDS if name not in ("rate", "sprt", "arenas", "check", "init", "report")]
+TAKE_BLOBS = [
+    name for name in cli.COMMANDS if name not in ("rate", "sprt", "arenas", "check", "init", "presets", "report")
+]
 
 
 @pytest.fixture

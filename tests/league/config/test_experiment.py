@@ -90,7 +90,7 @@ def test_what_a_file_leaves_out_is_as_the_named_arena_has_it():
         ('[learner]\n\nlr = "fast"\n', 'league.toml:3: learner.lr = "fast"'),
         ("[arena.rules]\nradiuss = 2\n", "league.toml:2: unknown key arena.rules.radiuss"),
         ('[training.schedule]\nkind = "leapfrogg"\n', "leapfrog"),
-        ("[training.schedule]\nperiod_steps = 0\n", "period_steps is 0; a turn lasts 1 environment step or more"),
+        ("[training.schedule]\nperiod_steps = 0\n", "period_steps is 0; a phase lasts 1 environment step or more"),
         ("[arena.rules]\ntimestep = 0.013\n", "no whole number"),
         ("[rating]\nshare = 10\n", "league.toml:2: rating.share = 10.0: must be between 0.0 and 1.0"),
         ("[rating]\nshare = 0.0\n[budget]\nsuccess = 0.9\n", "rating.share = 0.0: must be above 0 where"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.settings import HappoConfig
-from league.commands.run.init import init
+from league.commands.design.init import init
 from league.commands.run.request import read
 from league.config import experiment as configuration
 from league.config.experiment import Config

@@ -356,7 +356,7 @@ def test_a_summary_row_per_snapshot_even_where_nothing_was_played():
 
 
 def test_a_query_loads_neither_what_trains_nor_what_draws():
-    heavy = ("jax", "torch", "mujoco", "pandas", "rerun", "agents", "arenas")
+    heavy = ("jax", "torch", "mujoco", "pandas", "rerun", "agents", "arenas.arena", "arenas.games", "arenas.robots")
     program = (
         "import sys, league.commands.analyse.ratings, league.commands.analyse.tables, league.commands.run.status\n"
         "import league.state.league_state\n"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import distribution, policy_params
 from agents.settings import Architecture, HappoConfig
 from league.scheduling import match_scheduler
@@ -32,12 +32,12 @@ def test_each_trap_of_the_page_has_its_tests():
 
 
 def test_a_frozen_policy_carries_what_it_knows_of_observations(tmp_path):
-    learner = Learner([3], [2], HappoConfig(Architecture((8,)), normalise_observations=True), 1, "cpu")
+    learner = HappoLearner([3], [2], HappoConfig(Architecture((8,)), normalise_observations=True), 1, "cpu")
     trunk = learner.actors[0].trunk
     trunk.observation_mean.fill_(5.0)
     trunk.observation_var.fill_(4.0)
     trunk.observation_clip.fill_(10.0)
-    now = [{key: tensor.numpy().copy() for key, tensor in policy.items()} for policy in learner.policies()]
+    now = [{key: tensor.numpy().copy() for key, tensor in policy.items()} for policy in learner.export()]
     with Store.open(tmp_path, create=True) as store:
         store.create_league(League("cup", ""))
         frozen = Snapshot("cup", "blue@1", store.blobs.put(freeze(now)), "puck:3:2", "blue")

@@ -173,7 +173,7 @@ def test_what_is_inherited_is_perturbed_within_its_range_and_learnt_with(arena, 
         again = new_trainer(config, arena, store)  # another process learns with the same
         again.pool._load(store, "slow", store.checkpoint(LEAGUE, "slow").digest, 0)
         assert again.pool.learners["slow"].config == learner.config
-        np.testing.assert_array_equal(again.pool.learners["slow"].state()["rng"], learner.state()["rng"])
+        np.testing.assert_array_equal(again.pool.learners["slow"].save()["rng"], learner.save()["rng"])
 
 
 @pytest.mark.parametrize(

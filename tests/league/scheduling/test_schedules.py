@@ -9,7 +9,7 @@ from league.scheduling import turn_scheduler
 from league.snapshots.codec import add_scripts
 from league.state.league_state import LeagueState, episode_scores
 from matchmaking.opponents import Opponents
-from matchmaking.schedule import Schedule, turn_score
+from matchmaking.schedule import Schedule, phase_score
 from storage.blobs import arrays
 from storage.records import League
 from storage.store import Store
@@ -69,7 +69,7 @@ def test_leapfrog_by_score_hands_over_as_soon_as_it_is_reached_and_freezes_who_s
     assert 0 < reached < 200
     curve = duel_store.curves(LEAGUE, "blue")
     before = episode_scores([p for p in curve if p.iteration < reached])
-    assert turn_score(before).low <= 0.02 < turn_score(episode_scores(curve)).low
+    assert phase_score(before).low <= 0.02 < phase_score(episode_scores(curve)).low
     assert [s.iteration for s in duel_store.snapshots(LEAGUE, "blue")][-1] == reached
     assert (phase.learners, phase.number) == (("red",), 1)
 

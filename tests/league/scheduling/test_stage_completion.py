@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Architecture, HappoConfig
 from league.commands.run.background import _handed_on
 from league.config import experiment as configuration
@@ -132,13 +132,13 @@ def test_who_has_ended_a_stage_is_told_with_what_is_handed_on():
 
 def test_the_best_snapshot_is_what_the_next_stage_starts_from(tmp_path):
     config = HappoConfig(Architecture((4,)), normalise_observations=True)
-    good, bad, fresh = (Learner((3,), (2,), config, seed) for seed in (1, 2, 3))
-    frozen = freeze([{key: tensor.numpy() for key, tensor in policy.items()} for policy in good.policies()])
+    good, bad, fresh = (HappoLearner((3,), (2,), config, seed) for seed in (1, 2, 3))
+    frozen = freeze([{key: tensor.numpy() for key, tensor in policy.items()} for policy in good.export()])
     with filled(tmp_path / "store") as store:
         history = [(2, frozen), (8, b"later"), (16, b"latest")]
         blue = store.players("cup")[0]
         store.add_snapshots([snapshot(blue, i, store.blobs.put(policy)) for i, policy in history])
-        newest = Checkpoint("cup", "blue", store.blobs.put(arrays.to_bytes(bad.state())), 500, 16, 5000.0)
+        newest = Checkpoint("cup", "blue", store.blobs.put(arrays.to_bytes(bad.save())), 500, 16, 5000.0)
         sources = WarmStart((Source("cup", "blue", 0),), ("cup", "blue"))
         finish(store, checkpoints=[newest], bases={"blue": store.checkpoint("cup", "blue").digest})
         assert warm_start.start(store, fresh, sources) == "cup/blue@16"
@@ -147,9 +147,9 @@ def test_the_best_snapshot_is_what_the_next_stage_starts_from(tmp_path):
         finish(store, matches=[replace(m, league="cup") for name, n in won.items()
                                for m in played({int(name[5:]): n / GAMES})])  # fmt: skip
         assert warm_start.start(store, fresh, sources) == "cup/blue@2"
-        for name, array in good.policies()[0].items():
-            np.testing.assert_array_equal(fresh.policies()[0][name], array, err_msg=name)
-        np.testing.assert_array_equal(fresh.state()["critic.value.weight"], bad.state()["critic.value.weight"])
+        for name, array in good.export()[0].items():
+            np.testing.assert_array_equal(fresh.export()[0][name], array, err_msg=name)
+        np.testing.assert_array_equal(fresh.save()["critic.value.weight"], bad.save()["critic.value.weight"])
         assert warm_start.describe({"blue": sources}, store) == [
             "cup hands on blue@2, the best snapshot of blue: it scores 82 % (78-86 %) against its initial snapshot",
             "blue: actors go on from cup's blue@2/0; critic and value normaliser from cup's blue",

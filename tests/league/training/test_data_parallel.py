@@ -122,7 +122,7 @@ def test_each_rank_plays_games_of_its_own_in_its_part_of_the_worlds(store):
     for purpose in ("worlds", "rollout"):
         keys = {tuple(jax.random.key_data(trainer._key(turn, purpose)).tolist()) for trainer in trainers}
         assert len(keys) == 3
-    first, second, alone = (trainer.pool.learners["red"].state() for trainer in trainers)
+    first, second, alone = (trainer.pool.learners["red"].save() for trainer in trainers)
     assert all(np.array_equal(first[k], second[k]) and np.array_equal(first[k], alone[k]) for k in first)
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from agents.batch import Batch
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Architecture
 from arenas.arena import Arena
 from league.config import experiment as configuration
@@ -98,7 +98,7 @@ def test_killed_after_every_turn_a_league_ends_with_the_same_bytes(schedule, sto
             turns(other, config, arena, 1)
         assert ends(other) == ends(store)
     state = arrays.from_bytes(store.blobs.get(store.checkpoint(LEAGUE, "blue").digest))
-    fresh = new_trainer(config, arena, store, 12).pool.learners["blue"].state()
+    fresh = new_trainer(config, arena, store, 12).pool.learners["blue"].save()
     for network in ("actor.0", "critic"):
         for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
             assert (state[f"{network}.gru.{name}"] != fresh[f"{network}.gru.{name}"]).any(), name
@@ -108,12 +108,12 @@ class CriticObservations:
     """Every batch that critics have learnt from, and what they remembered after it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch):
-        self.by_learner: dict[Learner, list[tuple[Batch, list[torch.Tensor]]]] = {}
-        for name in ("update", "update_critic_only"):
-            monkeypatch.setattr(Learner, name, self._noted(getattr(Learner, name)))
+        self.by_learner: dict[HappoLearner, list[tuple[Batch, list[torch.Tensor]]]] = {}
+        for name in ("learn", "update_critic_only"):
+            monkeypatch.setattr(HappoLearner, name, self._noted(getattr(HappoLearner, name)))
 
     def _noted(self, update):
-        def noting(learner: Learner, batch: Batch):
+        def noting(learner: HappoLearner, batch: Batch):
             found = update(learner, batch)
             self.by_learner.setdefault(learner, []).append((batch, [m.clone() for m in learner.final_memories]))
             return found
@@ -160,11 +160,11 @@ def test_what_changes_the_width_of_a_crew_leaves_worlds_where_they_are(store, ar
     config = settings(
         opponents=Opponents("uniform", past=0.5, groups=4), deterministic=False, budget=configuration.Budget()
     )
-    wide = Learner([1], [3], replace(config.learner, architecture=Architecture((4,), recurrent=9)), seed=5)
+    wide = HappoLearner([1], [3], replace(config.learner, architecture=Architecture((4,), recurrent=9)), seed=5)
     trainer = turns(store, config, arena, 4)
     ((worlds, seats),) = trainer._worlds.values()
     assert worlds.memory["red/0"].shape == (len(worlds.age), UNITS)
-    put = store.blobs.put(freeze([{k: v.numpy() for k, v in wide.policies()[0].items()}]))
+    put = store.blobs.put(freeze([{k: v.numpy() for k, v in wide.export()[0].items()}]))
     roster = arena.teams[0].roster  # several, so that one of them is soon drawn
     store.add_snapshots([Snapshot(LEAGUE, f"wide-{i}", put, roster, "red", iteration=3) for i in range(3)])
     there = []
@@ -184,7 +184,7 @@ def test_what_changes_the_width_of_a_crew_leaves_worlds_where_they_are(store, ar
 
 def of_kind(store: Store, arena: Arena, name: str, seed: int, **architecture) -> Snapshot:
     config = settings(architecture=Architecture((6,), **architecture)).learner
-    policies = Learner([1], [3], config, seed).policies()
+    policies = HappoLearner([1], [3], config, seed).export()
     data = freeze([{k: v.numpy() for k, v in policy.items()} for policy in policies])
     return Snapshot(LEAGUE, name, store.blobs.put(data), arena.teams[0].roster, origin="imported")
 
@@ -226,14 +226,16 @@ def test_players_go_on_from_players_that_remember_and_from_no_others(store, aren
     turns(store, settings(), arena, 3)
     before = arrays.from_bytes(store.blobs.get(store.checkpoint(LEAGUE, "red").digest))
     sources = WarmStart((Source(LEAGUE, "red", 0),), (LEAGUE, "red"))
-    learner = Learner([1], [3], settings().learner, seed=77)
+    learner = HappoLearner([1], [3], settings().learner, seed=77)
     warm_start.start(store, learner, sources)
-    for name, array in learner.state().items():
+    for name, array in learner.save().items():
         if name.startswith(("actor.", "critic.")):
             np.testing.assert_array_equal(array, before[name], err_msg=name)
     for other in (Architecture((6,)), Architecture((6,), recurrent=UNITS + 1)):
         with pytest.raises(StorageError, match=r"does not fit this learner: actor\.0\."):
-            warm_start.start(store, Learner([1], [3], replace(settings().learner, architecture=other), seed=7), sources)
+            warm_start.start(
+                store, HappoLearner([1], [3], replace(settings().learner, architecture=other), seed=7), sources
+            )
 
 
 def test_in_ladder_those_that_rest_take_over_an_actor_that_remembers(store, arena):

@@ -11,7 +11,8 @@ from league.config import experiment as configuration
 from league.config.experiment import PlayerSettings
 from league.scheduling import turn_scheduler
 from league.state.league_state import LeagueState
-from league.training.trainer import PlayerDiverged, Trainer
+from league.training.setback import PlayerDiverged
+from league.training.trainer import Trainer
 from league.training.training_recorder import TrainingRecorder
 from league.training.update_pool import run_inline
 from matchmaking.opponents import Opponents
@@ -250,7 +251,7 @@ def test_players_of_other_network_widths_learn_and_meet_in_one_batch(puck_store,
     trainer = turns(puck_store, config, pucks, 8)
     assert {name: i for name, (i, _) in ends(puck_store).items()} == dict.fromkeys(ends(puck_store), 4)
     widths = {
-        name: learner.state()["actor.0.trunk.hidden.0.weight"].shape[0]
+        name: learner.save()["actor.0.trunk.hidden.0.weight"].shape[0]
         for name, learner in trainer.pool.learners.items()
     }
     assert widths == {"blue": 64, "red": 64, "blue-wide": 32, "red-wide": 32}

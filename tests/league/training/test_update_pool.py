@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from agents.errors import Diverged
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from league.training import update_pool
 from league.training.update_pool import UpdatePool, UpdateRequest, UpdateWorker, run_inline
 from tests.agents.conftest import make_batch
@@ -31,16 +31,16 @@ def until(found: Callable[[], object]) -> None:
         time.sleep(0.05)
 
 
-def learners(count: int = 2, **settings) -> list[Learner]:
+def learners(count: int = 2, **settings) -> list[HappoLearner]:
     return [
-        Learner([4, 4, 3], [2, 2, 1], replace(BASE, **settings), seed, critic_size=SIGHT, kinds=["a", "a", "b"])
+        HappoLearner([4, 4, 3], [2, 2, 1], replace(BASE, **settings), seed, critic_size=SIGHT, kinds=["a", "a", "b"])
         for seed in range(count)
     ]
 
 
-def assert_same(one: Learner, other: Learner) -> None:
-    theirs = other.state()
-    for name, array in one.state().items():
+def assert_same(one: HappoLearner, other: HappoLearner) -> None:
+    theirs = other.save()
+    for name, array in one.save().items():
         np.testing.assert_array_equal(array, theirs[name], err_msg=name)
     assert len(one.final_memories) == len(other.final_memories)
     assert all(torch.equal(x, y) for x, y in zip(one.final_memories, other.final_memories, strict=True))
@@ -66,16 +66,16 @@ def lasting() -> Iterator[UpdateWorker]:
 )
 def test_an_assistant_s_update_is_this_process_s_to_the_last_byte(variant, lasting):
     mine, theirs = (learners(1, **variant)[0] for _ in range(2))
-    before = mine.state()
+    before = mine.save()
     for seed, rests in enumerate((False, True, False)):
         batch = experienced(make_batch, mine, seed, 6)
         assert lasting(UpdateRequest(theirs, batch, rests)) == run_inline(UpdateRequest(mine, batch, rests))
         assert_same(mine, theirs)
-    assert any(not np.array_equal(x, before[name]) for name, x in mine.state().items() if name.startswith("actor"))
+    assert any(not np.array_equal(x, before[name]) for name, x in mine.save().items() if name.startswith("actor"))
 
 
 def test_one_assistant_serves_learners_of_several_shapes_and_settings_that_have_moved(lasting):
-    of_two = [Learner([4, 3], [2, 1], BASE, 5) for _ in range(2)]
+    of_two = [HappoLearner([4, 3], [2, 1], BASE, 5) for _ in range(2)]
     for lr in (0.01, 0.03):
         for pair in (of_two, learners(1, lr=lr) + learners(1, lr=lr)):
             batch = make_batch(pair[0], 7)
@@ -85,11 +85,11 @@ def test_one_assistant_serves_learners_of_several_shapes_and_settings_that_have_
 
 def test_who_diverges_with_an_assistant_is_told_so_and_stays_as_it_was(lasting):
     (learner,) = learners(1)
-    before, batch = learner.state(), make_batch(learner, 3)
+    before, batch = learner.save(), make_batch(learner, 3)
     found = lasting(UpdateRequest(learner, batch._replace(rewards=batch.rewards.fill_(float("nan")))))
     assert isinstance(found, Diverged)
     assert "rewards" in str(found)
-    assert all(np.array_equal(x, before[name]) for name, x in learner.state().items())
+    assert all(np.array_equal(x, before[name]) for name, x in learner.save().items())
 
 
 def test_an_assistant_that_died_is_missed_by_nobody(worker):
@@ -106,8 +106,8 @@ def test_of_two_that_learn_one_goes_to_the_assistant(monkeypatch):
     monkeypatch.setattr(update_pool, "PATIENCE", 0.0)
     mine, theirs = learners(), learners()
     comm, spec = UpdatePool(mine), []
-    update = Learner.update
-    monkeypatch.setattr(Learner, "update", lambda learner, batch: spec.append(learner) or update(learner, batch))
+    update = HappoLearner.learn
+    monkeypatch.setattr(HappoLearner, "learn", lambda learner, batch: spec.append(learner) or update(learner, batch))
     for seed in range(3):
         batches = [make_batch(learner, seed) for learner in mine]
         spec.clear()
@@ -123,8 +123,8 @@ def test_of_two_that_learn_one_goes_to_the_assistant(monkeypatch):
 def test_without_an_assistant_two_learn_at_the_same_time_all_the_same(monkeypatch):
     monkeypatch.setattr(update_pool, "cores", lambda: 2)
     both, meeting = learners(), threading.Barrier(2)
-    update = Learner.update
-    monkeypatch.setattr(Learner, "update", lambda learner, batch: (meeting.wait(WAIT), update(learner, batch))[1])
+    update = HappoLearner.learn
+    monkeypatch.setattr(HappoLearner, "learn", lambda learner, batch: (meeting.wait(WAIT), update(learner, batch))[1])
     found = UpdatePool(both)([UpdateRequest(learner, make_batch(learner, 1)) for learner in both])
     assert [isinstance(figures, dict) and figures["critic_grad_norm"] > 0 for figures in found] == [True, True]
 

@@ -249,7 +249,7 @@ def test_faithful_turns_every_defect_on():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"blue": ("minitank",)}, "blue: unknown robot 'minitank': (robots: anymal, leatherback)"),
+        ({"blue": ("minitank",)}, "blue: unknown robot 'minitank': (robots: anymal, leatherback, ant, "),
         ({"red": ("leatherbak",)}, "red: unknown robot 'leatherbak': did you mean leatherback?"),
         ({"blue": ()}, "blue: a team needs at least one robot"),
         ({"blue": ("anymal",) * 40}, "rules.pitch: 41 robots may find no room on the 165 points"),

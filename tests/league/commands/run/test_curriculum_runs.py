@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.learner.happo import Learner
+from agents.learner.happo import HappoLearner
 from agents.settings import Architecture, HappoConfig
 from league.config import experiment as configuration
 from league.config import presets
@@ -165,12 +165,14 @@ def test_a_policy_that_comes_with_the_league_is_a_forerunner(store):
     assert pushed[0].roster == DOG
     (found,) = warm_start.of(store, [again], ["anymal-push"]).values()
     assert found == WarmStart((Source("anymal-push", policy.about["name"], 0),), None)
-    theirs = Learner((56,), (12,), HappoConfig(Architecture((128, 128, 128), "elu"), normalise_observations=True), 1)
-    ours, name = theirs.state(), warm_start.start(store, theirs, found)
+    theirs = HappoLearner(
+        (56,), (12,), HappoConfig(Architecture((128, 128, 128), "elu"), normalise_observations=True), 1
+    )
+    ours, name = theirs.save(), warm_start.start(store, theirs, found)
     assert name == f"anymal-push/{policy.about['name']}"
-    for key, array in theirs.policies()[0].items():
+    for key, array in theirs.export()[0].items():
         np.testing.assert_array_equal(array, policy.arrays[f"0/{key}"], err_msg=key)
-    now = theirs.state()
+    now = theirs.save()
     stood = policy.arrays["0/trunk.observation_var"] < 1e-6
     np.testing.assert_array_equal(now["actor.0.observed"], np.where(stood, 0, policy.about["steps"]))
     assert not now["critic.observed"].any()
@@ -181,11 +183,13 @@ def test_what_stood_still_in_a_stage_says_nothing_at_first_in_the_next(store):
     """An ANYmal that scores has met no enemy; all that it has seen move it goes on with."""
     policy = policy_file.read(policy_file.find("anymal-score"))
     (found,) = warm_start.of(store, [player("new", "blue", 0, policy.about["roster"])], ["anymal-score"]).values()
-    theirs = Learner((66,), (12,), HappoConfig(Architecture((128, 128, 128), "elu"), normalise_observations=True), 1)
+    theirs = HappoLearner(
+        (66,), (12,), HappoConfig(Architecture((128, 128, 128), "elu"), normalise_observations=True), 1
+    )
     warm_start.start(store, theirs, found)
     stood = policy.arrays["0/trunk.observation_var"] < 1e-6
     assert set(range(57, 66)) <= set(np.flatnonzero(stood)) < set(range(45, 66))  # team-mate and enemies, at least
-    now, name = theirs.policies()[0], "trunk.hidden.0.weight"
+    now, name = theirs.export()[0], "trunk.hidden.0.weight"
     np.testing.assert_array_equal(now[name], np.where(stood, 0.0, policy.arrays[f"0/{name}"]))
     assert set(now["trunk.observation_var"][stood].tolist()) == {1.0}
 
@@ -202,16 +206,16 @@ def test_a_policy_of_other_numbers_is_refused():
         warm_start.warm_starts([player("cup.dogs", "blue", 0, "anymal:106:12")], [WALKED])
 
 
-def learner(sizes: tuple[int, ...], seed: int) -> Learner:
-    return Learner(sizes, (2,) * len(sizes), HappoConfig(Architecture((8,)), normalise_observations=True), seed)
+def learner(sizes: tuple[int, ...], seed: int) -> HappoLearner:
+    return HappoLearner(sizes, (2,) * len(sizes), HappoConfig(Architecture((8,)), normalise_observations=True), seed)
 
 
 def test_a_learner_inherits_actors_with_their_deviations_and_leaves_the_rest():
     given, own = learner((3, 3), 1), learner((3, 3), 2)
-    before, theirs = own.state(), given.state()
+    before, theirs = own.save(), given.save()
     theirs["actor.1.std_logit"] = theirs["actor.1.std_logit"] + 0.25
     own.warm_start([(theirs, 1), None], None)
-    after = own.state()
+    after = own.save()
     for name in (name for name in after if name.startswith("actor.0.")):
         np.testing.assert_array_equal(after[name], theirs[name.replace(".0.", ".1.", 1)])
     changed = {name for name in after if not np.array_equal(after[name], before[name])}
@@ -221,9 +225,9 @@ def test_a_learner_inherits_actors_with_their_deviations_and_leaves_the_rest():
 
 def test_a_learner_inherits_a_critic_with_its_value_normaliser():
     given, own = learner((3,), 1), learner((3,), 2)
-    theirs = given.state() | {"value_norm.mean_sum": given.state()["value_norm.mean_sum"] + 3}
+    theirs = given.save() | {"value_norm.mean_sum": given.save()["value_norm.mean_sum"] + 3}
     own.warm_start([(theirs, 0)], theirs)
-    kept = {k: v for k, v in own.state().items() if not k.startswith(("adam", "rng"))}
+    kept = {k: v for k, v in own.save().items() if not k.startswith(("adam", "rng"))}
     for name, array in kept.items():
         np.testing.assert_array_equal(array, theirs[name])
 
@@ -232,15 +236,15 @@ def test_a_learner_inherits_a_critic_with_its_value_normaliser():
 def test_what_never_moved_elsewhere_says_nothing_until_it_is_learnt(layer_norm: bool):
     """While it rests the policy is the same; else it was a new one as soon as an enemy came into sight."""
     config = HappoConfig(Architecture((8,), layer_norm=layer_norm), normalise_observations=True)
-    given, own = (Learner((4,), (2,), config, seed) for seed in (1, 2))
-    theirs = given.state()
+    given, own = (HappoLearner((4,), (2,), config, seed) for seed in (1, 2))
+    theirs = given.save()
     theirs["actor.0.trunk.observation_mean"] = np.array([0.5, 0, 2, -1], np.float32)
     theirs["actor.0.trunk.observation_var"] = np.array([4, 0, 1e-12, 0.25], np.float32)  # the middle two never moved
     theirs["actor.0.trunk.observation_clip"] = np.array(10, np.float32)
     given.load(theirs)
     own.warm_start([(theirs, 0)], None, from_other_arena=True)
 
-    def means(learner: Learner, *resting: float) -> np.ndarray:
+    def means(learner: HappoLearner, *resting: float) -> np.ndarray:
         seen = torch.tensor([[1.0, *resting, 0.3], [-2.0, *resting, -1.0]])
         return learner.actors[0](seen).mean.detach().numpy()
 
@@ -248,12 +252,12 @@ def test_what_never_moved_elsewhere_says_nothing_until_it_is_learnt(layer_norm: 
     moved, unheard = (np.abs(means(x, 3.0, -1.0) - means(x, 0.0, 2.0)).max() for x in (given, own))
     assert moved > 1e-4
     assert layer_norm or unheard == 0.0  # behind a LayerNorm each input moves all
-    np.testing.assert_array_equal(own.state()["actor.0.trunk.observation_var"], np.array([4, 1, 1, 0.25], np.float32))
+    np.testing.assert_array_equal(own.save()["actor.0.trunk.observation_var"], np.array([4, 1, 1, 0.25], np.float32))
 
 
 def test_a_policy_of_another_network_is_not_inherited():
     with pytest.raises(ValueError, match="does not fit"):
-        learner((3,), 2).warm_start([(learner((4,), 1).state(), 0)], None)
+        learner((3,), 2).warm_start([(learner((4,), 1).save(), 0)], None)
 
 
 # The walk -------------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from arenas.arena_settings import EngineName
 from league.commands.options import parse, positional
 from league.commands.progress_bar import report_kernels
+from league.config import flags
 
 
 @dataclass(frozen=True)
@@ -23,11 +24,34 @@ def check(args: list[str]) -> int:
     A fault of the arena's own code, which may raise, exit or lack a hook, is reported as a failed promise with the line
     in its file. An unknown name is bad input.
     """
-    options = parse(CheckOptions, args, "check", "Examine an arena against the contract that the league relies on.")
+    own, given = _without_arena_flags(args)
+    options = parse(
+        CheckOptions, own, "check",
+        "Examine an arena against the contract that the league relies on. Flags such as --arena.blue change its"
+        " settings.",
+    )  # fmt: skip
     from arenas.contract.check import examine
+    from league.config.experiment import change, default
 
     with report_kernels():
-        found = examine(options.name, engine=options.engine)
+        found = examine(
+            options.name,
+            (lambda _: change(default(options.name), given).arena) if given else None,
+            engine=options.engine,
+        )
     for check, ok, detail in found:
         print(f"{'ok    ' if ok else 'FAILED'}  {check}{': ' + detail if detail else ''}")
     return 0 if all(ok for _, ok, _ in found) else 1
+
+
+def _without_arena_flags(args: list[str]) -> tuple[list[str], flags.Given]:
+    """Return the arguments without the flags of the arena's settings, and these flags."""
+    own, given, words = [], {}, list(args)
+    while words:
+        word = words.pop(0)
+        if not word.startswith("--arena."):
+            own.append(word)
+            continue
+        name, equals, text = word[2:].partition("=")
+        given[tuple(name.replace("-", "_").split("."))] = text if equals or not words else words.pop(0)
+    return own, given

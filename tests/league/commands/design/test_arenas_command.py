@@ -41,7 +41,7 @@ def test_the_list_says_who_plays_how_often_they_decide_and_what_they_see(capsys)
 
 def test_the_list_loads_nothing_heavy():
     program = (
-        "import sys; from league.commands.analyse.arenas import arenas; arenas([])\n"
+        "import sys; from league.commands.design.arenas import arenas; arenas([])\n"
         "print([name for name in ('jax', 'torch', 'mujoco', 'pandas') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -51,7 +51,7 @@ def test_the_list_loads_nothing_heavy():
 
 def test_all_about_an_arena_loads_no_torch():
     program = (
-        "import sys; from league.commands.analyse.arenas import arenas; arenas(['matching-pennies'])\n"
+        "import sys; from league.commands.design.arenas import arenas; arenas(['matching-pennies'])\n"
         "print('torch' in sys.modules, 'jax' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)

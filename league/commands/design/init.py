@@ -16,7 +16,7 @@ class InitOptions:
     folder: str = positional(".")
     """Folder for league.toml (default: this one)."""
     preset: str = "quickstart"
-    """Settings to start from: quickstart, duel, alphastar, psro, sumo-by-team, ...; an unknown name lists all."""
+    """Settings to start from: quickstart, duel, alphastar, psro, sumo-by-team, ...; `league presets` lists all."""
 
 
 def init(args: list[str]) -> int:

@@ -1,0 +1,191 @@
+"""Trial of one robot on flat ground: it stands, moves each joint and flails; mass, contacts and speed are measured.
+
+All runs on MuJoCo's C engine, except `compare`, which steps the same seconds on another engine.
+"""
+
+import time
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from arenas.arena_settings import EngineName, Solver
+from arenas.physics.cpu import cores
+from arenas.physics.registry import make_engine
+from arenas.robots.files.extents import corners, lowest
+from arenas.robots.robot import Robot
+from arenas.scene.scene import Scene, build
+
+AGENT = "blue/0"
+STEPS = 0.005, 0.01  # s, timesteps of our arenas
+STANDS, MOVES, FLAILS = 2.0, 0.4, 4.0  # s
+ACTION = 0.5  # of which joints are moved
+LEAST = 0.001  # rad or m: a joint that moves less does not move
+NEAR = 0.02  # share of its height by which it may be off the ground at the start
+LIGHTEST = 1e-6  # kg·m²: smaller inertias with the motor's own make stiff simulations
+CONTROL = 4  # timesteps of a control step
+WORLDS, TIMED = 256, 25  # worlds and control steps of the measurement of speed
+
+
+class Finding(NamedTuple):
+    """One check: its name, its outcome and what was measured."""
+
+    name: str
+    ok: bool
+    detail: str
+
+
+class Moved(NamedTuple):
+    """Motion of a joint under ACTION in MOVES seconds, in rad or m."""
+
+    joint: str
+    by: float
+    ok: bool
+
+
+class RobotTrial:
+    """Trials of one robot; the measured peaks of flailing are in `contacts` and `rows`."""
+
+    def __init__(self, robot: Robot):
+        """Build the scene. Raises ArenaError for a robot whose model cannot be built."""
+        self.robot = robot
+        self.scenes: dict[float, Scene] = {step: build({"blue": [robot]}, timestep=step) for step in STEPS}
+        self.model = self.scenes[STEPS[0]].model
+        self.contacts = self.rows = 0
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield the checks, each when it is done."""
+        yield self._mass()
+        yield self._placed()
+        yield from (self._stand(step) for step in STEPS)
+        moved = self.moved()
+        still = [each.joint for each in moved if not each.ok]
+        yield Finding("each joint moves", not still, f"does not move: {', '.join(still)}" if still else f"{len(moved)}")
+        yield self._flail()
+
+    def _data(self, scene: Scene, action: np.ndarray | None = None) -> mujoco.MjData:
+        """Return a world at rest with the command of an action (default: zeros)."""
+        data = mujoco.MjData(scene.model)
+        data.qpos[:] = scene.rest
+        self._act(scene, data, np.zeros(self.robot.action_size) if action is None else action)
+        return data
+
+    def _act(self, scene: Scene, data: mujoco.MjData, action: np.ndarray) -> None:
+        data.ctrl[scene.agents[AGENT].ctrl] = np.asarray(self.robot.command(jnp.asarray(action, jnp.float32)))
+
+    def _mass(self) -> Finding:
+        model = self.model
+        total = float(model.body_mass.sum())
+        smallest = min(float(model.dof_M0[at]) for at in range(6, model.nv))  # inertia at a joint, with the motor's own
+        name = model.joint(int(model.dof_jntid[6 + int(np.argmin(model.dof_M0[6:]))])).name.removeprefix(f"{AGENT}/")
+        detail = f"{total:.4g} kg in {model.nbody - 1} bodies; least inertia at a joint {smallest:.2g} kg·m² ({name})"
+        return Finding("mass and inertia", total > 0 and smallest > LIGHTEST, detail)
+
+    def _placed(self) -> Finding:
+        """Compare its height with that of its lowest point in the standing pose."""
+        scene = self.scenes[STEPS[0]]
+        data = self._data(scene)
+        mujoco.mj_kinematics(scene.model, data)
+        bodies = np.flatnonzero(scene.model.body_rootid == scene.agents[AGENT].base)
+        touching = (scene.model.geom_contype > 0) & np.isin(scene.model.geom_bodyid, bodies)
+        gap = min(lowest(data, int(g)) for g in np.flatnonzero(touching))
+        height = self.robot.rest_height - gap
+        ok = abs(gap) < NEAR * height
+        detail = f"its base is {height:.4g} m above its lowest point"
+        wrong = "" if ok else f", but height = {self.robot.rest_height:g}: --fit writes what its pose needs"
+        return Finding("placed on the ground", ok, detail + wrong)
+
+    def top(self) -> float:
+        """Return the height of its highest shape in the standing pose, m."""
+        scene = self.scenes[STEPS[0]]
+        data = self._data(scene)
+        mujoco.mj_kinematics(scene.model, data)
+        return max(float(corners(data, g)[:, 2].max()) for g in range(1, scene.model.ngeom))
+
+    def _stand(self, step: float) -> Finding:
+        """Let it stand under the zero action."""
+        scene = self.scenes[step]
+        data, at = self._data(scene), scene.agents[AGENT].qpos
+        start, fell = data.qpos[at + 2], None
+        for _ in range(round(STANDS / step)):
+            mujoco.mj_step(scene.model, data)
+            if fell is None and bool(self.robot.fallen(jnp.asarray(data.qpos[at : at + 7]))):
+                fell = data.time
+        x, y = data.qpos[at + 4 : at + 6]
+        tilt = np.degrees(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+        sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
+        drift = float(np.hypot(data.qpos[at], data.qpos[at + 1]))
+        after = f"{start:.3g} m, after {STANDS:g} s {data.qpos[at + 2]:.3g} m, tilt {tilt:.0f}°, drift {drift:.2g} m"
+        ends = "" if fell is None else f"; it has fallen after {fell:.2g} s: its zero action holds no balance"
+        return Finding(f"stands, steps of {step:g} s", sound and fell is None, after + ends)
+
+    def moved(self) -> list[Moved]:
+        """Move each joint alone, in the air without gravity, both ways, and return the larger way."""
+        return [self._moved(index) for index in range(self.robot.action_size)]
+
+    def _moved(self, index: int) -> Moved:
+        scene = self.scenes[STEPS[0]]
+        model, at = scene.model, scene.agents[AGENT]
+        ways = []
+        gravity = model.opt.gravity.copy()
+        model.opt.gravity[:] = 0
+        for sign in (1.0, -1.0):
+            action = np.zeros(self.robot.action_size)
+            action[index] = sign * ACTION
+            data = self._data(scene, action)
+            data.qpos[at.qpos + 2] += 10.0
+            for _ in range(round(MOVES / STEPS[0])):
+                mujoco.mj_step(model, data)
+            ways.append(sign * float(data.qpos[at.joint_qpos[index]] - scene.rest[at.joint_qpos[index]]))
+        model.opt.gravity[:] = gravity
+        return Moved(self.robot.joints[index], max(ways), max(ways) > LEAST)
+
+    def _flail(self) -> Finding:
+        """Let it flail under random actions, and keep the peaks of contacts and rows."""
+        scene, rng = self.scenes[STEPS[0]], np.random.default_rng(0)
+        data, at, top = self._data(scene), scene.agents[AGENT], 0.0
+        for number in range(round(FLAILS / STEPS[0])):
+            if number % CONTROL == 0:
+                self._act(scene, data, rng.normal(size=self.robot.action_size))
+            mujoco.mj_step(scene.model, data)
+            self.contacts, self.rows = max(self.contacts, data.ncon), max(self.rows, data.nefc)
+            top = max(top, float(np.abs(data.qvel[at.qvel : at.qvel + 3]).max()))
+        sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
+        detail = f"at most {self.contacts} contacts, {self.rows} rows; base at most {top:.2g} m/s"
+        return Finding("flails without breaking", sound, detail)
+
+    def speed(self) -> float:
+        """Return control steps of 0.02 s per second of the C engine on all cores, of a robot that stands."""
+        scene = self.scenes[STEPS[0]]
+        batch = Batch(scene.model, WORLDS, cores())
+        batch.bind("qpos")[:] = scene.rest
+        batch.bind("ctrl")[:] = self._data(scene).ctrl
+        batch.step(nstep=CONTROL)
+        begun = time.perf_counter()
+        for _ in range(TIMED):
+            batch.step(nstep=CONTROL)
+        return WORLDS * TIMED / (time.perf_counter() - begun)
+
+    def compare(self, engine: EngineName, buffers: Solver) -> Finding:
+        """Step half a second of standing on another engine and on C, and compare the places of the base.
+
+        Raises EngineError if the engine cannot run here or refuses the model.
+        """
+        scene, steps = self.scenes[STEPS[0]], 25
+        command = jnp.asarray(self._data(scene).ctrl, jnp.float32)
+        ends = []
+        for name in ("c", engine):
+            model = build({"blue": [self.robot]}, timestep=STEPS[0]).model  # its own: engines change flags of models
+            stepper = make_engine(name, model, worlds=1, buffers=buffers)
+            physics = stepper.make(jnp.asarray(scene.rest, jnp.float32), jnp.zeros(scene.model.nv))
+            step = jax.jit(lambda physics, stepper=stepper: stepper.step(physics, command, CONTROL, None, None))
+            for _ in range(steps):
+                physics = step(physics)
+            ends.append(np.asarray(physics.qpos))
+        off = float(np.abs(ends[0] - ends[1]).max())
+        ok = bool(np.isfinite(off)) and off < 0.01
+        return Finding(f"engine {engine} agrees with C", ok, f"after {steps * CONTROL * STEPS[0]:g} s within {off:.1g}")

@@ -1,0 +1,95 @@
+"""A file's actuators as drives, one for each joint: position, velocity or torque; position where it has none."""
+
+from dataclasses import replace
+
+import mujoco
+
+from arenas.errors import ArenaError
+from arenas.robots.files.robot_file import Control, Drive
+from arenas.robots.files.source import Source
+
+JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+FIXED, NONE, AFFINE = (
+    int(each) for each in (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+)
+DIRECT = tuple(
+    int(each) for each in (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+)
+
+
+def drives_of(source: Source, control: Control | None, passive: tuple[str, ...]) -> dict[str, Drive]:
+    """Return the drives by joint, in the file's order of joints; gains and homes that it lacks are 0.
+
+    Without any actuator all joints get position targets; `control` is given to all. Raises ArenaError, one line, for
+    a joint without an actuator that is not `passive`, and for actuators that move no joint.
+    """
+    model, found = source.model, _found(source)
+    names = [source.joint(j) for j in source.joints]
+    for name in passive:
+        if name not in names:
+            raise ArenaError(f"{source.path}: no joint {name} for --passive; it has {', '.join(names)}")
+    drives: dict[str, Drive] = {}
+    for j in source.joints:
+        name = source.joint(j)
+        if name in passive:
+            continue
+        if found and name not in found:
+            raise ArenaError(
+                f"{source.path}: joint {name} has no actuator, while others have; add one, or --passive {name}"
+            )
+        drive = found.get(name, Drive("position", 0.0, 0.0))
+        if control is not None and control != drive.control:
+            drive = Drive(control, 0.0, 0.0, effort=drive.effort)
+        low, high = map(float, model.jnt_range[j]) if model.jnt_limited[j] else (0.0, 0.0)
+        effort = drive.effort
+        if model.jnt_actfrclimited[j]:
+            most = float(model.jnt_actfrcrange[j, 1])
+            effort = min(effort, most) if effort else most
+        rotor = float(model.dof_armature[model.jnt_dofadr[j]])
+        drives[name] = replace(drive, low=low, high=high, effort=effort, armature=rotor)
+    if not drives:
+        raise ArenaError(f"{source.path}: all of its joints are passive: a robot needs one that it can move")
+    return drives
+
+
+def _found(source: Source) -> dict[str, Drive]:
+    """Return the drive of each joint that the robot's actuators move."""
+    model, found = source.model, dict[str, Drive]()
+    for i in range(model.nu):
+        actuator, joint = model.actuator(i).name or str(i), int(model.actuator_trnid[i, 0])
+        if model.actuator_trntype[i] not in JOINTS:
+            kind = mujoco.mjtTrn(int(model.actuator_trntype[i])).name.removeprefix("mjTRN_").lower()
+            raise ArenaError(f"{source.path}: actuator {actuator} moves a {kind}; only those of joints can be read")
+        if joint not in source.joints:
+            continue
+        name, drive = source.joint(joint), _drive(source, i, actuator)
+        found[name] = _merged(found[name], drive) if name in found else drive
+    return found
+
+
+def _drive(source: Source, i: int, actuator: str) -> Drive:
+    """Return one actuator as a drive; a gear turns units of the motor into those of the joint."""
+    model = source.model
+    gain, bias, gear = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i], float(model.actuator_gear[i, 0])
+    most = float(max(abs(model.actuator_ctrlrange[i]))) if model.actuator_ctrllimited[i] else 0.0
+    force = abs(gear) * float(max(abs(model.actuator_forcerange[i]))) if model.actuator_forcelimited[i] else 0.0
+    plain = model.actuator_gaintype[i] == FIXED and model.actuator_dyntype[i] in DIRECT
+    if plain and model.actuator_biastype[i] == NONE:
+        torque = abs(gain * gear) * most
+        return Drive("torque", 0.0, torque or force, effort=min(filter(None, (torque, force)), default=0.0))
+    if plain and model.actuator_biastype[i] == AFFINE and bias[1] < 0 and abs(bias[1] + gain) < 1e-6 * gain:
+        return Drive("position", 0.0, 0.0, kp=gain * gear**2, kd=float(-bias[2]) * gear**2, effort=force)
+    if plain and model.actuator_biastype[i] == AFFINE and bias[1] == 0 and bias[2] < 0:
+        return Drive("velocity", 0.0, most / abs(gear), kd=float(-bias[2]) * gear**2, effort=force)
+    raise ArenaError(
+        f"{source.path}: actuator {actuator} is no motor, position or velocity actuator; write it as one of these"
+    )
+
+
+def _merged(one: Drive, other: Drive) -> Drive:
+    """Return the drive of two actuators on a joint: position and velocity together are PD, else the first counts."""
+    by_control = {drive.control: drive for drive in (other, one)}
+    if set(by_control) == {"position", "velocity"}:
+        position, velocity = by_control["position"], by_control["velocity"]
+        return replace(position, kd=position.kd + velocity.kd)
+    return one

@@ -1,0 +1,179 @@
+"""Robot files: the settings of a robot whose model is an MJCF or URDF file, as TOML. Loads nothing heavy.
+
+`league robot FILE` writes one, and a person edits it. A unit stands with each setting in the written file.
+"""
+
+import json
+import re
+import tomllib
+from dataclasses import MISSING, asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from arenas.errors import ArenaError
+
+Control = Literal["position", "velocity", "torque"]
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # of a kind of robot: part of rosters
+MOTION_SIZE = 9  # velocity, rates and the down direction, which proprioception begins with
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One driven joint; angles in rad, of sliding joints in m (and N for N·m)."""
+
+    control: Control
+    home: float  # position when standing
+    scale: float  # per unit of action: rad of the target from home, rad/s of the target, or N·m
+    kp: float = 0.0  # N·m/rad, of position targets
+    kd: float = 0.0  # N·m·s/rad, of position and velocity targets
+    effort: float = 0.0  # N·m at most; 0: no limit
+    low: float = 0.0  # range of the joint; both 0: no limit
+    high: float = 0.0
+    armature: float = 0.0  # kg·m², the motor's inertia seen at the joint
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """All settings of a robot from a file."""
+
+    name: str  # its kind in rosters
+    model: str  # the MJCF or URDF file, or package:path for a file in an installed package
+    base: str  # the body with the free joint
+    height: float  # m, base's origin above the ground when standing
+    width: float  # m, diameter of the circle that it covers when standing, in any heading
+    fall_height: float  # m, a base below this has fallen
+    fall_up: float  # world z of the base's up axis below which it has fallen
+    feet: tuple[str, ...]  # bodies that it stands on
+    drives: dict[str, Drive]  # by joint, in the order of observations and actions
+    passive: tuple[str, ...] = ()  # joints without an actuator, which move freely
+    self_contact: bool = True  # its own bodies touch each other
+    free_base: bool = False  # the model has no free joint, and the base gets one
+    contacts: int = 16  # Warp's contact slots for it
+    rows: int = 64  # Warp's constraint rows for it
+    folder: str = "."  # where `model` is relative to
+
+    @property
+    def proprioception_size(self) -> int:
+        """Numbers in its proprioception: its motion, and per joint angle, speed and last action."""
+        return MOTION_SIZE + 3 * len(self.drives)
+
+    @property
+    def identity(self) -> str:
+        """All settings that decide how it moves, as text: part of an arena's configuration hash."""
+        apart = {"folder", "model", "contacts", "rows", "width", "name"}
+        return json.dumps({key: value for key, value in asdict(self).items() if key not in apart})
+
+
+def read(path: Path) -> RobotFile:
+    """Read a robot file. Raises ArenaError, one line that names the file and the setting."""
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ArenaError(f"cannot read {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ArenaError(f"{path}: not a robot file: {error}") from None
+    joints = table.pop("joints", None)
+    if not isinstance(joints, dict) or not joints:
+        raise ArenaError(f"{path}: no [joints]: a robot needs at least one; `league robot FILE` writes them")
+    drives = {name: _record(Drive, each, f"{path}: joint {name}") for name, each in joints.items()}
+    known = {"drives": drives, "folder": str(path.parent)}
+    found: RobotFile = _record(RobotFile, {**_folded(table), **known}, str(path))
+    _check(found, path)
+    return found
+
+
+def written(robot: RobotFile) -> str:
+    """Write a robot file as commented TOML that `read` reads back."""
+    joints = "\n".join(f"{_text(name)} = {_inline(drive)}" for name, drive in robot.drives.items())
+    return f"""\
+# A robot of Robot League, written by `league robot`. Edit any value, then run `league robot` on this file to check it.
+name = {_text(robot.name)}
+model = {_text(robot.model)}  # MJCF or URDF, relative to this file
+base = {_text(robot.base)}  # the body that moves freely
+free_base = {_text(robot.free_base)}  # true: the model has no free joint, and the base gets one
+height = {_text(robot.height)}  # m, base above the ground when standing
+width = {_text(robot.width)}  # m, diameter of the circle that it covers
+feet = {_text(list(robot.feet))}  # bodies that it stands on
+passive = {_text(list(robot.passive))}  # joints without an actuator
+self_contact = {_text(robot.self_contact)}  # its own bodies touch each other
+
+[fall]
+height = {_text(robot.fall_height)}  # m: a base below this has fallen
+up = {_text(robot.fall_up)}  # world z of its up axis: below this it has fallen
+
+[buffers]  # Warp's, per robot
+contacts = {robot.contacts}
+rows = {robot.rows}
+
+# control: position (target = home + scale * action), velocity (target = scale * action), torque (scale * action).
+# rad, rad/s, N·m; kp N·m/rad; kd N·m·s/rad; effort: the most torque, 0: no limit; low, high: range, both 0: no limit;
+# armature kg·m².
+[joints]
+{joints}
+"""
+
+
+def _folded(table: dict[str, Any]) -> dict[str, Any]:
+    """Return the table with the keys of [fall] and [buffers] as fields."""
+    fall, buffers = (dict(table.pop(name, None) or {}) for name in ("fall", "buffers"))
+    return table | {f"fall_{key}": value for key, value in fall.items()} | buffers
+
+
+def _record(cls: Any, table: Any, where: str) -> Any:
+    """Build a dataclass from plain values, each checked by the type of its field."""
+    if not isinstance(table, dict):
+        raise ArenaError(f'{where}: expected a table such as {{ control = "position", home = 0.0, scale = 0.5 }}')
+    known = {field.name: field for field in fields(cls)}
+    for key in table:
+        if key not in known:
+            raise ArenaError(f"{where}: unknown setting {key}; known are {', '.join(known)}")
+    missing = [name for name, field in known.items() if name not in table and field.default is MISSING]
+    if missing:
+        raise ArenaError(f"{where}: {missing[0]} is missing")
+    return cls(**{key: _value(known[key].type, value, f"{where}: {key}") for key, value in table.items()})
+
+
+def _value(kind: Any, value: Any, where: str) -> Any:
+    if kind is float and type(value) in (int, float) and abs(value) < 1e9:
+        return float(value)
+    if kind is int and type(value) is int and value > 0:
+        return value
+    if kind in (bool, str) and type(value) is kind:
+        return value
+    if kind == tuple[str, ...] and isinstance(value, list) and all(isinstance(each, str) for each in value):
+        return tuple(value)
+    if kind is Control and value in get_args(Control):
+        return value
+    if kind == dict[str, Drive]:
+        return value
+    expected = {float: "a number", int: "a whole number from 1", bool: "true or false", str: "text in quotes"}
+    names = f"one of {', '.join(get_args(Control))}" if kind is Control else "a list of names"
+    raise ArenaError(f"{where} = {value!r}: expected {expected.get(kind, names)}")
+
+
+def _check(robot: RobotFile, path: Path) -> None:
+    if not NAME.fullmatch(robot.name):
+        raise ArenaError(f"{path}: name = {robot.name!r}: use a letter, then letters, digits, - and _")
+    for name, drive in robot.drives.items():
+        if drive.low > drive.high:
+            raise ArenaError(f"{path}: joint {name}: low = {drive.low:g} is above high = {drive.high:g}")
+        if min(drive.kp, drive.kd, drive.effort, drive.armature) < 0:
+            raise ArenaError(f"{path}: joint {name}: kp, kd, effort and armature must be at least 0")
+        if (drive.control == "position" and drive.kp == 0) or (drive.control == "velocity" and drive.kd == 0):
+            gain = "kp" if drive.control == "position" else "kd"
+            raise ArenaError(f"{path}: joint {name}: control = {drive.control!r} needs {gain} above 0")
+    for key in ("height", "width"):
+        if getattr(robot, key) <= 0:
+            raise ArenaError(f"{path}: {key} = {getattr(robot, key):g}: must be above 0 m")
+
+
+def _inline(drive: Drive) -> str:
+    return "{ " + ", ".join(f"{key} = {_text(value)}" for key, value in asdict(drive).items()) + " }"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return repr(float(f"{value:.4g}"))
+    return json.dumps(value, ensure_ascii=False)

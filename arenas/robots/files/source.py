@@ -1,0 +1,181 @@
+"""Reading of MJCF and URDF files: the compiled model, and the one robot in it. All else in the file is left out."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from arenas.errors import ArenaError
+
+ELONGATED = 1.6  # a mesh so much longer than wide is fitted by a capsule, else by a box
+MESH, FREE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtJoint.mjJNT_FREE)
+BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+ADDED_JOINT = "free base"  # of a base that the file fixes to the world
+
+
+@dataclass(frozen=True)
+class Source:
+    """A compiled file and the robot in it. Meshes have become boxes and capsules in `shapes`, of the same geom ids."""
+
+    path: Path
+    model: mujoco.MjModel  # masses, joints, actuators
+    shapes: mujoco.MjModel  # geoms, none of them a mesh
+    base: int  # body id
+    bodies: list[int]  # ids of the robot's bodies, parents first
+    joints: list[int]  # ids of its joints except the free one
+    left_out: list[str]  # what the robot does without, in words
+    named: int  # bodies, joints and geoms that had no name
+
+    def joint(self, i: int) -> str:
+        """Return the name of a joint."""
+        return self.model.joint(i).name
+
+    def body(self, i: int) -> str:
+        """Return the name of a body."""
+        return self.model.body(i).name
+
+
+def read_source(path: Path, free_base: bool = False) -> Source:
+    """Read a file. With `free_base` a base that is fixed to the world becomes free, as that of a URDF always does.
+
+    Raises ArenaError, one line that names the file and the part, for a file that holds no single robot.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as error:
+        raise ArenaError(f"{path}: {_flat(error)}") from None
+    spec.compiler.discardvisual = False
+    urdf = path.suffix == ".urdf" or "<robot" in path.read_text("utf-8", errors="replace")[:5000]
+    left_out = [f"{len(gone)} meshes without their files" for gone in [_drop_missing_meshes(spec, path)] if gone]
+    if urdf or free_base:
+        _free(spec, path)
+    named = _name(spec)
+    model = _compiled(spec, path)
+    base = _base(model, path)
+    bodies = [i for i in range(model.nbody) if model.body_rootid[i] == base and i > 0]
+    joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] in bodies and model.jnt_type[j] != FREE]
+    _check(model, path, joints)
+    left_out += list(_left_out(spec, model, base))
+    return Source(path, model, _shapes(spec, model, path), base, bodies, joints, left_out, named)
+
+
+def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> list[str]:
+    """Remove the geoms of meshes whose files are missing, if they are only drawn; return these meshes' names."""
+    folder = Path(spec.modelfiledir or path.parent) / (spec.compiler.meshdir or "")
+    gone = {}
+    for mesh in list(spec.meshes):
+        file = Path(mesh.file.removeprefix("package://")) if mesh.file else None
+        if file is None or any((folder / each).is_file() for each in (file, file.name)) or file.is_file():
+            continue
+        gone[mesh.name or file.stem] = file
+    for geom in list(spec.geoms):
+        if geom.meshname not in gone:
+            continue
+        if geom.contype or geom.conaffinity or not geom.parent.explicitinertial:
+            needs = "touches" if geom.contype or geom.conaffinity else "gives the mass"
+            raise ArenaError(
+                f"{path}: body {geom.parent.name} {needs} by the mesh {gone[geom.meshname]}, which is not in {folder}"
+            )
+        spec.delete(geom)
+    for mesh in list(spec.meshes):
+        if mesh.name in gone or (mesh.file and Path(mesh.file).stem in gone):
+            spec.delete(mesh)
+    return list(gone)
+
+
+def _free(spec: mujoco.MjSpec, path: Path) -> None:
+    """Add a free joint to the only body under the world, unless one has it already."""
+    tops = spec.worldbody.bodies
+    if any(int(joint.type) == FREE for body in tops for joint in body.joints):
+        return
+    if len(tops) != 1:
+        names = ", ".join(body.name or "unnamed" for body in tops) or "none"
+        raise ArenaError(f"{path}: a robot is one body under the world with all others in it; there are: {names}")
+    tops[0].add_freejoint(name=ADDED_JOINT)
+
+
+def _name(spec: mujoco.MjSpec) -> int:
+    """Give names to bodies, joints and geoms without one; return how many there were."""
+    count = 0
+    for what, parts in (("body", spec.bodies[1:]), ("joint", spec.joints), ("geom", spec.geoms)):
+        taken = {part.name for part in parts}
+        for number, part in enumerate(parts):
+            if part.name:
+                continue
+            stem = f"{what}{number}" if what == "body" else f"{part.parent.name}_{what}"
+            part.name = next(name for name in _tries(stem) if name not in taken)
+            taken.add(part.name)
+            count += 1
+    return count
+
+
+def _tries(stem: str) -> Iterator[str]:
+    yield stem
+    yield from (f"{stem}{i}" for i in range(1, 10_000))
+
+
+def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ArenaError(f"{path}: {_flat(error)}") from None
+
+
+def _base(model: mujoco.MjModel, path: Path) -> int:
+    free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == FREE]
+    if len(free) == 1:
+        return free[0]
+    if free:
+        names = ", ".join(model.body(i).name for i in free)
+        raise ArenaError(f"{path}: {len(free)} bodies have a free joint ({names}): a robot has one")
+    fixed = [model.body(i).name for i in range(1, model.nbody) if model.body_parentid[i] == 0]
+    held = f"body {', '.join(fixed)}" if fixed else "it has no body, and nothing"
+    raise ArenaError(
+        f"{path}: no body has a free joint: {held} is fixed to the world; add <freejoint/> to it, or --free-base"
+    )
+
+
+def _check(model: mujoco.MjModel, path: Path, joints: list[int]) -> None:
+    """Raise ArenaError for parts that cannot be taken over."""
+    if not joints:
+        raise ArenaError(f"{path}: body {model.body(1).name} has no joints that a motor could move")
+    for j in joints:
+        if model.jnt_type[j] == BALL:
+            raise ArenaError(f"{path}: joint {model.joint(j).name} is a ball joint; only hinges and slides can be read")
+    if model.neq:
+        raise ArenaError(
+            f"{path}: equality {model.equality(0).name or 0} closes a loop or couples joints; such models cannot be"
+            " read yet"
+        )
+
+
+def _left_out(spec: mujoco.MjSpec, model: mujoco.MjModel, base: int) -> Iterator[str]:
+    floor = int(np.sum(model.body_rootid[model.geom_bodyid] != base))
+    for count, what in (
+        (floor, "geom of the scene"), (len(spec.lights), "light"), (len(spec.cameras), "camera"),
+        (len(spec.sensors), "sensor"), (len(spec.tendons), "tendon"), (len(spec.sites), "site"),
+    ):  # fmt: skip
+        if count:
+            yield f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _shapes(spec: mujoco.MjSpec, model: mujoco.MjModel, path: Path) -> mujoco.MjModel:
+    """Compile the file again with boxes in the place of meshes, or capsules where a mesh is long."""
+    if not (model.geom_type == MESH).any():
+        return model
+    fitted = spec.copy()
+    meshes = [geom for geom in fitted.geoms if int(geom.type) == MESH]
+    for geom in meshes:
+        geom.type = mujoco.mjtGeom.mjGEOM_BOX
+    boxes = _compiled(fitted, path)
+    for geom in meshes:
+        half = np.sort(boxes.geom(geom.name).size)
+        if half[2] > ELONGATED * half[1] and half[1] < ELONGATED * half[0]:
+            geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    return _compiled(fitted, path)
+
+
+def _flat(error: BaseException) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,1 @@
+"""Commands that prepare a league: arenas, robots, presets and configuration files."""

@@ -1,0 +1,1 @@
+"""Comparison of leagues: cells, curves with bands, one ladder by cross-play, the page."""

@@ -1,0 +1,101 @@
+"""The leagues of a comparison, and their cells: leagues whose settings are the same but for the seed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+from league.config.schema import ConfigError
+from league.queries.query import Open
+from league.runs.sweeps.run_state import flat_settings
+from league.state.curriculum_stage import course
+from storage.errors import UnknownName
+from storage.store import Store
+
+OWN = ("league", "seed", "workers", "storage", "after")
+"""Settings that do not make another cell."""
+SHOWN = 4  # most settings of a cell that its text names
+CROSS_PLAY = "cross-play"
+"""The beginning of the names of leagues that hold the matches of comparisons; patterns leave them out."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A league of a comparison."""
+
+    opened: Open
+    name: str  # as it is shown: the league's name, or STORE#LEAGUE
+    settings: Mapping[str, Any]  # by dotted key, those that make a cell
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Leagues that differ by their seeds alone."""
+
+    text: str  # the settings by which it differs from the other cells
+    settings: Mapping[str, Any]  # the same, by dotted key
+    members: Sequence[Member]
+
+
+def members(names: Sequence[str], sweep: str | None, store: Store, until: ExitStack) -> list[Member]:
+    """Open the leagues that are named: by name, by a pattern such as lr.*, as STORE#LEAGUE, or of a sweep.
+
+    Other stores are closed with `until`. Raises ConfigError or StorageError, one line, if there is none of a name.
+    """
+    found: list[Member] = []
+    for name in [*names, *([f"{sweep}.*"] if sweep else [])]:
+        where, other, league = name.rpartition("#")
+        opened = until.enter_context(Store.open(where)) if other else store
+        own = list(_matching(opened, league if other else name))
+        if not own and sweep and name == f"{sweep}.*":
+            raise ConfigError(("sweep",), f"no league of {opened.where} is of a sweep {sweep!r}: {_there(opened)}")
+        if not own:
+            raise UnknownName("league", name, [each.name for each in opened.leagues()])
+        found += [Member(Open(opened, each), f"{where}#{each}" if other else each, {}) for each in own]
+    unique = list({(m.opened.store.where, m.opened.league): m for m in found}.values())
+    if not unique:
+        raise ConfigError((), "league compare needs leagues: names, patterns such as 'lr.*', or --sweep NAME")
+    return [Member(m.opened, m.name, _of_cell(m.opened)) for m in unique]
+
+
+def cells(found: Sequence[Member]) -> list[Cell]:
+    """Return the cells of leagues, in the order of their first leagues."""
+    groups: dict[str, list[Member]] = {}
+    for member in found:
+        groups.setdefault(repr(sorted(member.settings.items())), []).append(member)
+    keys = list(dict.fromkeys(key for group in groups.values() for key in group[0].settings))
+    differ = [key for key in keys if len({repr(g[0].settings.get(key)) for g in groups.values()}) > 1]
+    return [_cell(group, differ) for group in groups.values()]
+
+
+def _cell(group: Sequence[Member], differ: Sequence[str]) -> Cell:
+    own = {key: group[0].settings.get(key) for key in differ}
+    text = ", ".join(f"{key.rpartition('.')[2]} = {value}" for key, value in [*own.items()][:SHOWN])
+    text += f", and {len(own) - SHOWN} more" if len(own) > SHOWN else ""
+    if not own:
+        text = "all"
+    elif len(own) > SHOWN:
+        text = group[0].name  # too many differences to be told: not a cell of a sweep
+    return Cell(text, own, group)
+
+
+def _matching(store: Store, pattern: str) -> Iterator[str]:
+    """Yield the leagues that a name or a pattern means; a pattern means no stages and no cross-play."""
+    for league in store.leagues():
+        if league.name == pattern:
+            yield league.name
+        elif any(c in pattern for c in "*?[") and fnmatchcase(league.name, pattern):
+            of = course(store, league.name)
+            if (of is None and not league.name.startswith(CROSS_PLAY)) or (of is not None and of.root == league.name):
+                yield league.name
+
+
+def _of_cell(opened: Open) -> dict[str, Any]:
+    text = opened.store.league(opened.league).config
+    return {key: value for key, value in flat_settings(text).items() if key.partition(".")[0] not in OWN}
+
+
+def _there(store: Store) -> str:
+    names = [league.name for league in store.leagues()]
+    return f"it has {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}" if names else "it has no league"

@@ -1,0 +1,49 @@
+"""Curves with bands and ranks of cells, on figures that can be worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from league.runs.comparison.cell_ranks import ranked, verdict
+from league.runs.comparison.cells import Cell, Member
+from league.runs.comparison.curve_bands import _band
+
+
+def cell(text: str, *names: str) -> Cell:
+    return Cell(text, {"lr": text}, [Member(None, name, {}) for name in names])  # type: ignore[arg-type]
+
+
+def row(league: str, elo: float, half: float = 10.0, known: bool = True) -> dict:
+    return {"league": league, "elo": elo, "low": elo - half, "high": elo + half, "known": known}
+
+
+def test_a_band_is_the_mean_and_range_of_leagues_up_to_the_last_common_step():
+    one = np.array([10.0, 20.0, 40.0]), np.array([0.0, 1.0, 1.0])
+    two = np.array([10.0, 30.0]), np.array([0.5, 0.5])
+    band = _band("lr", [one, two])
+    assert band is not None
+    assert band.steps.tolist() == [10, 20, 30]
+    assert band.mean.tolist() == [0.25, 0.75, 0.75]
+    assert band.low.tolist() == [0.0, 0.5, 0.5]
+    assert band.high.tolist() == [0.5, 1.0, 1.0]
+    assert band.at(15) == (0.5, 0.25, 0.75)
+    assert _band("none", [(np.zeros(0), np.zeros(0))]) is None
+
+
+def test_a_cell_has_the_interval_of_its_leagues_and_a_single_league_that_of_its_ratings():
+    rows = [row("a1", 1010), row("a1", 1030), row("a2", 1040), row("b1", 900), row("b2", 1500, known=False)]
+    first, second = ranked([cell("b", "b1", "b2"), cell("a", "a1", "a2")], rows, "elo")
+    assert (first.cell.text, first.leagues, first.mean, first.worst, first.best) == ("a", 2, 1030, 1020, 1040)
+    error = 12.7062 * math.sqrt(200) / math.sqrt(2)  # Student's quantile of one degree of freedom
+    assert first.high - first.mean == pytest.approx(error, rel=1e-4)
+    assert (second.leagues, second.low, second.high) == (1, pytest.approx(890), pytest.approx(910))
+
+
+def test_the_best_cell_is_named_as_sure_only_where_it_is():
+    close = [row(f"a{i}", 1000 + i) for i in range(3)] + [row(f"b{i}", 1001 + i) for i in range(3)]
+    far = [row(f"a{i}", 1000 + i) for i in range(3)] + [row(f"b{i}", 1300 + i) for i in range(3)]
+    both = [cell("a", "a0", "a1", "a2"), cell("b", "b0", "b1", "b2")]
+    assert verdict(ranked(both, close, "elo"), 0).startswith("Highest: b; it is not known whether")
+    assert verdict(ranked(both, far, "elo"), 0).startswith("Best: b, better than the next, a, by 300 (298 to 302)")
+    assert verdict(ranked(both[:1], far, "elo"), 0) == ""

@@ -1,0 +1,53 @@
+"""`league.run` in a script without a guard: Ctrl-C stops it cleanly, and so does the end of the script."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from league.state.liveness import leader
+from tests.league.conftest import ENVIRONMENT, wait_for
+
+SCRIPT = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import league
+settings = {"arena": {"name": "rock-paper-scissors"}, "league": "long", "training": {"worlds": 64}}
+try:
+    league.run(settings)
+except KeyboardInterrupt:
+    print("interrupted", league.open("league-data").players().now.tolist())
+"""
+pytestmark = pytest.mark.slow
+
+
+def begin(folder: Path) -> subprocess.Popen:
+    (folder / "script.py").write_text(SCRIPT)
+    with (folder / "out.txt").open("w") as out:
+        return subprocess.Popen(
+            [sys.executable, "-u", "script.py"], cwd=folder, stdout=out, stderr=out, env=ENVIRONMENT
+        )
+
+
+def learnt(store) -> bool:
+    return any(each.iteration > 2 for each in store.newest_checkpoints("long").values())
+
+
+def test_ctrl_c_lets_it_finish_its_iteration(tmp_path):
+    process = begin(tmp_path)
+    wait_for(tmp_path, learnt)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
+    said = (tmp_path / "out.txt").read_text()
+    assert "Stopped at iteration" in said
+    assert "interrupted ['stopped', 'stopped']" in said
+
+
+def test_it_stops_when_the_script_is_gone(tmp_path):
+    process = begin(tmp_path)
+    wait_for(tmp_path, learnt)
+    process.kill()
+    process.wait()
+    wait_for(tmp_path, lambda store: leader(store, "long") is None, 60)

@@ -1,0 +1,70 @@
+"""A search by Optuna: its points become leagues, it goes on from the store, and it says what it lacks."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from league.runs.sweeps import search, sweep_file
+from storage.store import Store
+from tests.league.conftest import said
+
+TEXT = """
+arena.name = "rock-paper-scissors"
+training.worlds = 64
+budget.steps = 2048
+budget.rating_time = "1s"
+rating.worlds = 64
+rating.pairings = 2
+
+[sweep]
+name = "found"
+trials = 1
+objective = "elo"
+
+[sweep.grid]
+learner.lr = { low = 1e-4, high = 1e-1, log = true }
+learner.epochs = { low = 1, high = 3 }
+training.opponents.kind = ["latest", "uniform"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "search.toml").write_text(TEXT)
+    return tmp_path
+
+
+def test_without_optuna_one_line_names_the_extra(folder, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "optuna", None)  # an import of it fails, whether it is installed or not
+    code, _, err = said(capsys, "sweep", "search.toml")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "pip install 'robot-league[sweep]'" in err
+
+
+def test_a_dry_run_says_what_is_searched(folder, capsys):
+    code, out, _ = said(capsys, "sweep", "search.toml", "--dry-run")
+    assert code == 0
+    assert "searches 1 points of learner.lr from 0.0001 to 0.1, learner.epochs from 1 to 3" in out
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_from_the_store(folder, capsys):
+    pytest.importorskip("optuna")
+    code, out, err = said(capsys, "sweep", "search.toml")
+    assert (code, err) == (0, "")
+    assert "Best of 1 points" in out
+    code, out, _ = said(capsys, "sweep", "search.toml")
+    assert "nothing was left to run" in out
+    (folder / "search.toml").write_text(TEXT.replace("trials = 1", "trials = 2"))
+    code, out, _ = said(capsys, "sweep", "search.toml")
+    assert "Best of 2 points" in out
+    with Store.open("league-data") as store:
+        assert len(store.leagues()) == 2
+    found = search.Search(sweep_file.read(Path("search.toml")), "league-data")
+    assert not list(found.rounds(1))
+    best = found.best()
+    assert best is not None
+    assert 1e-4 <= best[0]["learner.lr"] <= 1e-1
+    assert best[0]["learner.epochs"] in (1, 2, 3)

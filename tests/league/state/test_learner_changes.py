@@ -1,0 +1,73 @@
+"""A learner's settings that change between two runs of a league: told, and found in its snapshots' lineage."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from league.config import experiment
+from league.config.experiment import PlayerSettings
+from league.state.learner_changes import learner_changes, lineage
+from storage.records import Snapshot
+from tests.league.conftest import call, said
+
+PLAIN = experiment.default("rock-paper-scissors")
+
+
+def text(**learner):
+    return experiment.dumps(replace(PLAIN, learner=replace(PLAIN.learner, **learner)))
+
+
+def snapshot(at, settings, parent=None):
+    return Snapshot("cup", f"blue@{at}", "0", "chooser:1:3", "blue", parent=parent, settings=settings, iteration=at)
+
+
+@pytest.mark.parametrize(("before", "now", "said"), [
+    (text(), text(), []),
+    ("", text(lr=0.5), []),  # a league that begins
+    (text(lr=0.01), text(lr=0.5), ["learner.lr 0.01 -> 0.5"]),
+    (text(), text(target_kl=0.02, gamma=0.9), ["learner.gamma 0.985 -> 0.9", "learner.target_kl none -> 0.02"]),
+    (text(), text(architecture=replace(PLAIN.learner.architecture, hidden=(8,))),
+     ["learner.architecture.hidden [64, 64] -> [8]"]),
+    ("[learner]\nlr = 0.01\nlam = 0.5", text(lr=0.01), ["learner.gae_lambda 0.5 -> 0.95"]),  # by a former name
+    ("[learner]\nlr = 'much'", text(), []),
+    (text(class_="my/one.py:One", settings={"lr": 1}), text(class_="my/one.py:One", settings={"lr": 2, "more": True}),
+     ["learner.settings.lr 1 -> 2", "learner.settings.more none -> true"]),
+])  # fmt: skip
+def test_what_changed_is_told_with_both_values(before, now, said):
+    assert learner_changes(before, now) == said
+
+
+def test_settings_of_other_players_are_no_part_of_a_players_lineage():
+    before, red = PlayerSettings("blue", lr=0.1), PlayerSettings("red")
+    one, other = (experiment.dumps(replace(PLAIN, players=(each, red))) for each in (before, replace(before, lr=0.2)))
+    assert learner_changes(one, other) == ["players.blue.lr 0.1 -> 0.2"]
+    assert learner_changes(one, other, "red") == []
+
+
+def test_the_snapshot_after_a_change_bears_it():
+    kept = [snapshot(0, text()), snapshot(4, text(), "blue@0"), snapshot(8, text(lr=0.5), "blue@4"),
+            snapshot(16, text(lr=0.5), "blue@8")]  # fmt: skip
+    found = lineage([*kept, snapshot(2, text(), "gone@3")], "blue@16")
+    assert [(each.snapshot.iteration, each.changes) for each in found] == [
+        (0, ()), (4, ()), (8, ("learner.lr 0.001 -> 0.5",)), (16, ())
+    ]  # fmt: skip
+    assert [each.snapshot.name for each in lineage([snapshot(2, text(), "gone@3")], "blue@2")] == ["blue@2"]
+
+
+def test_a_run_with_another_rate_says_so_and_explain_keeps_record(copied_league, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    more = ("run", "--steps", "2048", "--budget.rating_time", "0s", "--workers.match", "0")
+    done = call(*more, "--learner.lr", "0.002", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Learns on with other settings than before: learner.lr 0.001 -> 0.002." in done.stdout
+    code, out, _ = said(capsys, "explain", "blue@5", "--format", "json")
+    found = json.loads(out)["lineage"]
+    assert code == 0
+    assert {row["snapshot"]: row["changes"] for row in found if row["changes"]} == {
+        "blue@5": ["learner.lr 0.001 -> 0.002"]
+    }
+    assert found[0]["snapshot"] == "blue@0"
+    code, _, err = said(capsys, "explain", "blue@3")
+    assert code == 2
+    assert "no snapshot 'blue@3'" in err
