@@ -41,7 +41,7 @@ def known() -> dict[str, set[str]]:
 def test_commands_and_options_of_a_page_exist(file, known):
     wrong = []
     for block in BLOCK.findall((site_hooks.ROOT / file).read_text("utf-8")):
-        for line in block.splitlines():
+        for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True) if re.match(r"league \S", line) else []
             if not words or words[1] == "COMMAND":
                 continue
