@@ -35,8 +35,9 @@ test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minut
 test-gpu: $(STAMP)  ## On a machine with an NVIDIA GPU: all arenas and variants on the engines and kernels of GPUs.
 	$(BIN)/pytest -rs -v -m gpu
 
-site: $(STAMP)  ## The pages as a searchable site in build/site: `python3 -m http.server -d build/site` serves it.
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+# Not with --quiet: mkdocs would then count no warning as an error.
+site: $(STAMP)  ## The pages as a site in build/site; for its search, serve it: python3 -m http.server -d build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## Remove what make and the tools wrote; leagues stay.
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache

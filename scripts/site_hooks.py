@@ -20,6 +20,8 @@ if TYPE_CHECKING:  # the tests of links need no mkdocs
 
 ROOT = Path(__file__).parents[1]
 HOME = "README.md"
+KEPT = (".md", ".png", ".webp", ".jpg", ".gif", ".svg")
+"""Endings of files that the site has as they are. Others are shown as code."""
 FENCE = re.compile(r"^ *(```|~~~)")
 LINK = re.compile(
     r"`[^`]*`|(?<=\]\()(?P<target>[^)\s#]+)(?=[)#\s])"
@@ -70,7 +72,7 @@ def place(file: str) -> str:
         return "index.md"
     if file.startswith("docs/"):
         return file.removeprefix("docs/")
-    return file if file.endswith(".md") else f"{file}.md"
+    return file if file.endswith(KEPT) else f"{file}.md"
 
 
 def origin(page: str) -> str:
@@ -115,6 +117,9 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
 
     for file in sorted(reachable()):
         if file.startswith("docs/"):
+            continue
+        if file.endswith(KEPT) and not file.endswith(".md"):
+            files.append(File.generated(config, file, abs_src_path=str(ROOT / file)))
             continue
         text = (ROOT / file).read_text("utf-8")
         if not file.endswith(".md"):
