@@ -64,7 +64,7 @@ class Role:
 
     @property
     def has_generations(self) -> bool:
-        """True if snapshots follow a rule of its own instead of the league's axis."""
+        """True if snapshots follow a rule of its own instead of the usual iterations 1, 2, 4, 8, ...."""
         return self.win_rate is not None or self.timeout is not None
 
     @property

@@ -20,7 +20,7 @@ from league.state.jobs import RatingMatch
 from league.system import batch_sizes, devices
 from league.system.compiled import Compiled
 from league.system.devices import used
-from league.system.gpu_sharing import Pace, Turns
+from league.system.gpu_sharing import GpuLock, Pace
 from storage.errors import StorageError
 from storage.recordings.recording import Recording, to_bytes
 from storage.records import ArenaKey, Match, PairCounts, Snapshot
@@ -48,8 +48,8 @@ class MatchEvaluator:
         self.recorded = (self._first(config.rating.recordings) if recorded is None else recorded) if visible else ()
         self.seconds = 0.0  # of the device, for the batch played last
         self._play = Compiled(make_play(arena, self.recorded), arena) if pace is None else None
-        turns = Turns(devices.own(jax.default_backend()))
-        self._time_slices = None if pace is None else TimeSlices(arena, self.recorded, pace, turns)
+        lock = GpuLock(devices.own(jax.default_backend()))
+        self._time_slices = None if pace is None else TimeSlices(arena, self.recorded, pace, lock)
         # By digest and whether the policy learnt in another arena; the most recently used policies are last.
         self._policies: OrderedDict[tuple[str, bool], list[Policy]] = OrderedDict()
         # Network shapes met so far, and scripts: they keep their place in the compiled match while nobody plays them.

@@ -8,17 +8,17 @@ from agents.rollout.rollout import EpisodeRecords, PlayedEpisodes, finish_match,
 from arenas.arena import Arena
 from league.system.compiled import Compiled
 from league.system.devices import used
-from league.system.gpu_sharing import Pace, Turns
+from league.system.gpu_sharing import GpuLock, Pace
 
 CONTROL_STEPS = 16
 """Control steps of a time slice: a fraction of a second of GPU time."""
 
 
 class TimeSlices:
-    """A compiled match of an arena, played `length` decisions at a time, at the times that `pace` and `turns` allow."""
+    """A compiled match of an arena, played `length` decisions at a time, at the times that `pace` and `lock` allow."""
 
-    def __init__(self, arena: Arena, recorded: tuple[int, ...], pace: Pace, turns: Turns, length: int | None = None):
-        self.pace, self.turns = pace, turns
+    def __init__(self, arena: Arena, recorded: tuple[int, ...], pace: Pace, lock: GpuLock, length: int | None = None):
+        self.pace, self.lock = pace, lock
         self.length = length or max(1, CONTROL_STEPS // arena.timing.hold)
         begin, go_on = make_stepwise_play(arena, self.length, recorded)
         self._begin, self._go_on = Compiled(begin, arena), Compiled(go_on, arena)
@@ -36,7 +36,7 @@ class TimeSlices:
         go_on = self._go_on.ready(stacks, match_state)
         while not over:
             self.pace.wait()
-            with self.turns.playing():
+            with self.lock.playing():
                 more = True
                 while more and not over:
                     began = used(jax.default_backend())

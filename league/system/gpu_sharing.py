@@ -2,7 +2,7 @@
 
 If two processes use a GPU at once, the driver gives them time slices by turns, so training ran at half its speed during
 a whole batch of matches. Matches are therefore played in stretches of a fraction of a second
-(`league/matches/time_slices.py`). `Pace` decides when the next stretch is due, and `Turns` gives it exclusive use of
+(`league/matches/time_slices.py`). `Pace` decides when the next stretch is due, and `GpuLock` gives it exclusive use of
 the GPU between two iterations of training.
 """
 
@@ -77,8 +77,8 @@ class Pace:
         return self._trains and self.share < 1.0
 
 
-class Turns:
-    """Turns on a GPU, by locks of the operating system, which end with the process that holds them.
+class GpuLock:
+    """Use of a GPU in turn, by locks of the operating system, which end with the process that holds them.
 
     Iterations of training share the GPU with each other; a stretch of matches has it alone. Training lets a waiting
     stretch go first. All waits have a limit: if a process hangs, or a lock is not available, both continue at once.

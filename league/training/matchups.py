@@ -21,15 +21,15 @@ from storage.store import Store
 class Matchups:
     """Groups of worlds of a turn. `worlds` is the requested number, rounded down to whole groups.
 
-    `assigned[group][team]` is the name of a player, or of a snapshot in `past`. The players in `own_groups_only` do not
-    learn from the present groups.
+    `assigned[group][team]` is the name of a player, or of a snapshot in `past`. The players in `without_shared_worlds`
+    do not learn from the present groups.
     """
 
     def __init__(
         self, turn: TrainingTurn, present: int, worlds: int, store: Store, league: str, arena: Arena,
-        own_groups_only: Collection[str] = (),
+        without_shared_worlds: Collection[str] = (),
     ):  # fmt: skip
-        self.arena, self.turn, self._own_groups_only = arena, turn, own_groups_only
+        self.arena, self.turn, self._without_shared_worlds = arena, turn, without_shared_worlds
         self.assigned: list[tuple[str, ...]] = [turn.present] * present
         self._owner: list[str | None] = [None] * present
         for learner in turn.learners:
@@ -106,7 +106,7 @@ class Matchups:
 
     def _groups_of(self, learner: str) -> list[int]:
         """Return the groups from which a player learns."""
-        shared = learner not in self._own_groups_only
+        shared = learner not in self._without_shared_worlds
         return [k for k, owner in enumerate(self._owner) if owner == learner or (owner is None and shared)]
 
 

@@ -29,7 +29,7 @@ from arenas.arena import Arena
 from league.config.experiment import Config
 from league.state.jobs import TrainingTurn
 from league.system import devices, memory
-from league.system.gpu_sharing import Turns
+from league.system.gpu_sharing import GpuLock
 from league.training.learner_factory import batch_of
 from league.training.learner_pool import Counters, LearnerPool
 from league.training.matchups import Matchups
@@ -90,7 +90,7 @@ class Trainer:
         self._restarted = 0.0  # share of the worlds that were restarted for this turn's opponents
         self.programs = programs or TrainingPrograms(config, arena)
         self._shapes = self._architectures()
-        self._turns = Turns(devices.own(jax.default_backend()))
+        self._gpu_lock = GpuLock(devices.own(jax.default_backend()))
         self._device = next(iter(self.pool.learners.values())).device
         self._room = memory.room(self._device)
 
@@ -117,8 +117,8 @@ class Trainer:
         met = {name: np.zeros((matchups.groups, 4)) for name in turn.learners}
 
         for left in reversed(range(turn.iterations)):
-            with self._turns.training():
-                worlds, trajectory = collect(self._crews(matchups), worlds, self._key(turn, "rollout"))
+            with self._gpu_lock.training():
+                worlds, trajectory = collect(self._policy_stacks(matchups), worlds, self._key(turn, "rollout"))
                 figures = self._learn(turn, trajectory, matchups)
             for name in turn.learners:
                 met[name] += episode_results(
@@ -132,7 +132,11 @@ class Trainer:
             self._points.extend(points)
             if self._recorder.due(turn):  # not part of the training time
                 began += self._recorder.record(
-                    store, turn, matchups, self._crews(matchups, 1), self._judges(turn, matchups)
+                    store,
+                    turn,
+                    matchups,
+                    self._policy_stacks(matchups, 1),
+                    self._players_with_learning_critics(turn, matchups),
                 )
             yield Progress({name: pool.counters[name] for name in turn.learners}, steps / elapsed, points)
             if self._finalizer.reached(self._points):
@@ -179,7 +183,7 @@ class Trainer:
         Raises PlayerDiverged. If all worlds are void, no player can learn; then the error names the learner whose
         robots alone were at fault most often.
         """
-        names = self._judges(turn, matchups)
+        names = self._players_with_learning_critics(turn, matchups)
         resting = names[len(turn.learners) :]
         batches = [self._batch(name, trajectory, matchups) for name in names]
         figures = {
@@ -191,7 +195,7 @@ class Trainer:
         learners = [self.pool.learners[name] for name in names]
         rests = [name in resting for name in names]
         taught = self.pool.updates([UpdateRequest(*each) for each in zip(learners, batches, rests, strict=True)])
-        self._recall(names, matchups)
+        self._store_critic_memories(names, matchups)
         diverged: dict[str, object] = {}
         for name, losses in zip(names, taught, strict=True):
             if isinstance(losses, Diverged):
@@ -207,12 +211,12 @@ class Trainer:
             raise PlayerDiverged(name, diverged[name])
         return figures
 
-    def _judges(self, turn: TrainingTurn, matchups: Matchups) -> list[str]:
+    def _players_with_learning_critics(self, turn: TrainingTurn, matchups: Matchups) -> list[str]:
         """Return the players whose critics learn in the turn: the learners, then the resting players."""
         resting = self.pool.resting(turn) if self.config.training.resting_critics else []
         return [*turn.learners, *(name for name in resting if matchups.teaches(name) and self.pool.judges(name))]
 
-    def _recall(self, names: Sequence[str], matchups: Matchups) -> None:
+    def _store_critic_memories(self, names: Sequence[str], matchups: Matchups) -> None:
         """Keep the critics' memory of the worlds that they have just learnt from, for the rollout that continues there.
 
         Their memory of other worlds is empty, and so is that of a critic that did not learn now, because it has missed
@@ -243,7 +247,7 @@ class Trainer:
         }  # fmt: skip
         return CurvePoint(self.pool.players[name].league, name, now.iteration, now.steps, now.seconds, values)
 
-    def _crews(self, matchups: Matchups, groups: int | None = None) -> dict[str, PolicyStack]:
+    def _policy_stacks(self, matchups: Matchups, groups: int | None = None) -> dict[str, PolicyStack]:
         turn = matchups.turn
         now = {name: self.pool.acting(name, name in turn.learners) for name in turn.present if name}
         return matchups.stacks(now, self._shapes, groups)
@@ -263,8 +267,8 @@ class Trainer:
         present = max(groups.values())
         if not any(turn.past.values()):
             present = 1  # without past opponents all groups would be alike
-        own_groups_only = [name for name, wanted in groups.items() if not wanted and turn.past.get(name)]
-        return Matchups(turn, present, self.asked, store, self.pool.league, self.arena, own_groups_only)
+        without_shared_worlds = [name for name, wanted in groups.items() if not wanted and turn.past.get(name)]
+        return Matchups(turn, present, self.asked, store, self.pool.league, self.arena, without_shared_worlds)
 
     def _prepare(self, matchups: Matchups, turn: TrainingTurn) -> tuple[Worlds, Callable]:
         """Return the worlds and the compiled rollout, prepared here because neither counts as training time.
@@ -284,7 +288,7 @@ class Trainer:
             keys = jax.random.split(self._key(turn, "worlds"), matchups.worlds)
             worlds = jax.block_until_ready(self.programs.reset(keys))
             self._critic_memories |= {name: [] for name in turn.present}
-        stacks = self._crews(matchups)
+        stacks = self._policy_stacks(matchups)
         worlds = with_memory(worlds, stacks)
         return worlds, self.programs.rollout.ready(stacks, worlds, jax.random.key(0))
 

@@ -188,7 +188,7 @@ class TurnFinalizer:
         if player.name in self._frozen or role.can_reset:
             return player.name in self._frozen
         due = next_due(last.iteration, self.config.training.snapshots_per_doubling)
-        on_axis = now.iteration >= due and not role.has_generations
+        due_by_iteration = now.iteration >= due and not role.has_generations
         passed = any(last.seconds < mark <= now.seconds for mark in self._marks)
         hands_over = self._handed_over and player.name in self.turn.learners
-        return on_axis or passed or hands_over or self.pool.spent(self.turn)
+        return due_by_iteration or passed or hands_over or self.pool.spent(self.turn)

@@ -18,7 +18,7 @@ from league.matches.time_slices import TimeSlices
 from league.runtime.worker import Worker, WorkerSpec
 from league.snapshots.codec import seat
 from league.system import gpu_sharing
-from league.system.gpu_sharing import SPARE, Pace, Turns
+from league.system.gpu_sharing import SPARE, GpuLock, Pace
 from storage.errors import LeaseLost
 from storage.records import Job
 from tests.league.conftest import ROOT
@@ -109,7 +109,7 @@ def test_a_stretch_has_the_gpu_alone_and_comes_next_though_training_never_rests(
 
     def train() -> None:
         nonlocal iterations
-        turns = Turns("0", tmp_path)
+        turns = GpuLock("0", tmp_path)
         while not over.is_set():
             with turns.training():
                 training.set()
@@ -119,7 +119,7 @@ def test_a_stretch_has_the_gpu_alone_and_comes_next_though_training_never_rests(
 
     learner = threading.Thread(target=train)
     learner.start()
-    turns = Turns("0", tmp_path)
+    turns = GpuLock("0", tmp_path)
     try:
         for _ in range(20):
             before = iterations
@@ -136,7 +136,7 @@ def test_a_stretch_has_the_gpu_alone_and_comes_next_though_training_never_rests(
 
 
 def test_iterations_of_two_trainers_go_side_by_side(tmp_path):
-    one, other = Turns("0", tmp_path), Turns("0", tmp_path)
+    one, other = GpuLock("0", tmp_path), GpuLock("0", tmp_path)
     with one.training():
         began = time.monotonic()
         with other.training():
@@ -145,13 +145,13 @@ def test_iterations_of_two_trainers_go_side_by_side(tmp_path):
 
 def test_training_goes_on_where_a_stretch_hangs(tmp_path, monkeypatch):
     monkeypatch.setattr(gpu_sharing, "LONGEST", 0.05)
-    hanging, learner = Turns("0", tmp_path), Turns("0", tmp_path)
+    hanging, learner = GpuLock("0", tmp_path), GpuLock("0", tmp_path)
     with hanging.playing():
         for _ in range(2):
             with learner.training():
                 pass
     hanging.close()
-    with Turns("1", tmp_path).playing(), Turns(None).playing(), Turns("0", tmp_path / "gone").training():
+    with GpuLock("1", tmp_path).playing(), GpuLock(None).playing(), GpuLock("0", tmp_path / "gone").training():
         pass  # another GPU, none, and a folder that is not there: nothing is waited for
 
 
@@ -162,7 +162,7 @@ def test_a_match_in_stretches_is_the_match_at_once_and_ends_with_its_last_episod
     stacks = seat(arena.teams, [[[sprinter]] * 2] * 2)
     keys, recorded = jax.random.split(jax.random.key(3), 16), (0, 5)
     whole = jax.device_get(make_play(arena, recorded)(stacks, keys))
-    played = TimeSlices(arena, recorded, Pace(1.0, lambda: True), Turns(None), length=7)
+    played = TimeSlices(arena, recorded, Pace(1.0, lambda: True), GpuLock(None), length=7)
     games, seconds = played.play(stacks, keys)
     for name in ("score", "void", "at_fault", "decisions", "causes"):
         assert np.array_equal(getattr(whole, name), getattr(games, name)), name
