@@ -22,7 +22,8 @@ EXTRAS = {
     "view": "matches in 3D", "video": "films and pictures", "foxglove": "recordings for Foxglove", "dash": "the page",
     "tensorboard": "curves for TensorBoard", "wandb": "curves for Weights & Biases", "parquet": "ratings as Parquet",
     "postgres": "stores on PostgreSQL", "s3": "blobs on S3", "onnx": "policies as ONNX files",
-    "envs": "PettingZoo and Gymnasium",
+    "envs": "PettingZoo and Gymnasium", "robots": "ants and humanoids", "sweep": "searches by Optuna",
+    "site": "the pages as a site",
 }  # fmt: skip
 """Purpose of each optional dependency."""
 

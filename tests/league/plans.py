@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from league.config import presets
+from league.config.sections import Budget
 from league.scheduling import turn_scheduler
 from league.state.jobs import TrainingTurn, decode
 from league.state.league_state import LeagueState
@@ -48,7 +49,7 @@ def match(a: str, b: str | None, games: int = 128) -> Match:
 
 
 def training(**changes):
-    base = presets.quickstart()
+    base = replace(presets.quickstart(), budget=Budget("5m", rating_time="3m"))
     return replace(base, training=replace(base.training, worlds=256, **changes))
 
 

@@ -13,6 +13,7 @@ import arenas
 from arenas.games.sumo.clearance import clearance
 from arenas.games.sumo.stages import PAPER_WALK, WalkReward, WalkRules, WalkSettings
 from arenas.games.sumo.walk import GameState, Walk
+from arenas.games.terms import weights_of
 from arenas.physics.engine import Physics
 
 DT = 0.02  # s
@@ -23,7 +24,7 @@ ON_SIDE, ON_BACK = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0), (0.0, 1.0, 0.0, 0
 @pytest.fixture(scope="session")
 def walk() -> Walk:
     """The arena with weights of 1, so that terms can be read off."""
-    ones = WalkReward(**dict.fromkeys(asdict(WalkReward()), 1.0))
+    ones = WalkReward(**dict.fromkeys(weights_of(WalkReward()), 1.0))
     return WalkSettings(reward=ones).build(engine="c")
 
 

@@ -1,7 +1,7 @@
 """Soccer's stages: what success is, what is paid, what ends an attempt. Robot and ball are put by hand."""
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,7 @@ import arenas
 from arenas.games.soccer.drill import GameState
 from arenas.games.soccer.settings import ALL_DEFECTS
 from arenas.games.soccer.stages import DrillReward, DrillRules, faithful
+from arenas.games.terms import weights_of
 from arenas.scene.randomisation import HARL_A, Randomisation
 from tests.arenas.kickoff import put
 
@@ -22,7 +23,7 @@ PLUS, MINUS = GameState(jnp.asarray(1.0)), GameState(jnp.asarray(-1.0))
 def ones(name, **rules):
     """The arena with weights of 1, so that terms can be read off."""
     settings = arenas.settings(name)
-    reward = DrillReward(**dict.fromkeys(asdict(DrillReward()), 1.0))
+    reward = DrillReward(**dict.fromkeys(weights_of(DrillReward()), 1.0))
     return replace(settings, reward=reward, rules=replace(settings.rules, **rules)).build(engine="c")
 
 

@@ -126,6 +126,7 @@ def test_a_taken_port_is_told_with_who_has_it_and_the_next(served, folder, port)
     free = int(said.rpartition("--port ")[2])
     assert port < free < port + 100
     with socket.socket() as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # an earlier viewer may just have ended there
         other.bind(("127.0.0.1", free))
 
 

@@ -200,7 +200,7 @@ def test_it_says_what_it_needs(folder, monkeypatch, capsys):
 
 
 def test_the_page_loads_neither_what_trains_nor_pandas(folder):
-    heavy = ("jax", "torch", "mujoco", "pandas", "scipy", "rerun", "agents", "arenas")
+    heavy = ("jax", "torch", "mujoco", "pandas", "scipy", "rerun", "agents", "arenas.arena", "arenas.games")
     program = (
         "import sys\nfrom league.queries import page\nfrom league.queries.query import Open\n"
         "from storage.store import Store\n"
