@@ -60,7 +60,7 @@ def execute(request: RunRequest) -> int:
     """
     config, where = request.config, request.options.store
     _refuse_if_running(where, config)
-    _report_changes(where, config)
+    changes = _learner_changes(where, config)
     with ExitStack() as until_the_end:
         spec = RunSpec.of(where, config)
         preparing = preparation(spec, config, debug="--debug" in sys.argv, keep=not request.options.detach)
@@ -68,6 +68,8 @@ def execute(request: RunRequest) -> int:
             prepared, warm_worker = until_the_end.enter_context(preparing)
         except ConfigError as error:
             raise request.with_location(error) from None
+        for line in changes:  # only now: a setting may just have been refused
+            print(line)
         return _run(request, spec, prepared, warm_worker)
 
 
@@ -128,17 +130,21 @@ def _refuse_if_running(where: str, config: Config) -> None:
         )
 
 
-def _report_changes(where: str, config: Config) -> None:
-    """Print one line for each league of this run whose learner's settings differ from those of its last run."""
+def _learner_changes(where: str, config: Config) -> list[str]:
+    """Return one line for each league of this run whose learner's settings differ from those of its last run."""
     try:
         with Store.open(where, blobs=config.storage.blobs) as store:
             kept = {league.name: league.config for league in store.leagues()}
     except NotAStore:
-        return
+        return []
+    told = []
     for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
         if changes := learner_changes(kept.get(each.league, ""), configuration.dumps(each)):
             shown = ", ".join(changes)
-            print(f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` keeps record of it.")
+            told.append(
+                f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` shows them later."
+            )
+    return told
 
 
 def _with_budget(request: RunRequest, state: LeagueState) -> Config:
