@@ -45,10 +45,17 @@ def held_amid_a_turn(folder, at_least):
     def turn(store):
         return iteration(store) >= at_least and store.jobs("tiny", "leased", "train")
 
+    def holder(store):
+        """Who holds the turn; a worker that was killed is listed for some seconds more."""
+        held = {int(job.holder.split(":")[1]) for job in turn(store) or () if job.holder}
+        return next((w for w in store.workers("tiny", 5) if w.pid in held), None)
+
     while True:
-        wait_for(folder, turn)
-        learner = wait_for(folder, lambda store: of_kind(store, "train"))
-        hold(folder, learner.pid)
+        learner = wait_for(folder, holder)
+        try:
+            hold(folder, learner.pid)
+        except ProcessLookupError:  # it has just been killed
+            continue
         with Store.open(folder / "league-data") as store:
             if turn(store):
                 return learner
