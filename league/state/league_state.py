@@ -206,9 +206,9 @@ def _averages(
             continue
         length = sum(p["length"] for p in ended) / len(ended)
         rewards[name] = sum(p["reward"] for p in points) / len(points) * length
-        episodes = sum(p["episodes"] for p in ended)
-        if episodes >= ENOUGH:
-            successes[name] = sum(p["score"] * p["episodes"] for p in ended) / episodes
+        counted = [(p["episodes"], p["score"]) for p in ended if {"episodes", "score"} <= p.keys()]
+        if (episodes := sum(n for n, _ in counted)) >= ENOUGH:
+            successes[name] = sum(n * score for n, score in counted) / episodes
     return rewards, successes
 
 

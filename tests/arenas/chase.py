@@ -88,7 +88,7 @@ class Tag(Arena):
         return jnp.zeros(0), jnp.zeros(0), jnp.zeros(2)
 
     def decide(self, game: Array, actions: dict[str, Array]) -> Array:
-        """Where the two are."""
+        """Return where the two are."""
         return jnp.concatenate([actions[agent] for agent in self.robots])
 
     def observe(self, physics: Physics, game: Array, actions: dict[str, Array]) -> dict[str, Array]:

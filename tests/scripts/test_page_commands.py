@@ -28,7 +28,7 @@ def normal(option: str) -> str:
 
 @pytest.fixture(scope="module")
 def known() -> dict[str, set[str]]:
-    """Of each command: the options that it takes, settings included."""
+    """Return the options that each command takes, settings included."""
     options = {
         name: EVERYWHERE | {normal(option) for option in OPTION.findall(text)}
         for name, text in USAGE.findall(reference_pages.commands())

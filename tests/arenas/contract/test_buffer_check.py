@@ -1,4 +1,4 @@
-"""Whether Warp's buffers have room for untrained play, and what is said where they have not."""
+"""Room of Warp's buffers for untrained play, and the message where it is too small."""
 
 from dataclasses import replace
 from typing import Any

@@ -41,7 +41,7 @@ def kept(tmp_path_factory) -> Path:
 
 
 class Answer(NamedTuple):
-    """Of a command: its exit code, its output, its errors."""
+    """Exit code, output and errors of a command."""
 
     code: int
     out: str

@@ -1,4 +1,4 @@
-"""What nobody can mean is refused in one line: settings nobody can compute with, absurd sizes, names of no file."""
+"""Refusals in one line: settings that cannot be computed with, absurd sizes, names that are no files."""
 
 import json
 import struct

@@ -1,4 +1,4 @@
-"""Who is shown of a long table."""
+"""Choice of the players that are shown of a long table."""
 
 import numpy as np
 

@@ -46,7 +46,7 @@ def held_amid_a_turn(folder, at_least):
         return iteration(store) >= at_least and store.jobs("tiny", "leased", "train")
 
     def holder(store):
-        """Who holds the turn; a worker that was killed is listed for some seconds more."""
+        """Return the worker that holds the turn; one that was killed is listed for some seconds more."""
         held = {int(job.holder.split(":")[1]) for job in turn(store) or () if job.holder}
         return next((w for w in store.workers("tiny", 5) if w.pid in held), None)
 

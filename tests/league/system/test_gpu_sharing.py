@@ -1,4 +1,4 @@
-"""How matches and training share a GPU: the pace of stretches on a simulated clock, and the locks, which are real."""
+"""Sharing of a GPU by matches and training: the pace of stretches on a simulated clock, and the locks, real ones."""
 
 import os
 import random

@@ -1,4 +1,4 @@
-"""Who is called stronger: by games of the two, else by ratings whose interval has room for the model's misfit."""
+"""Comparison of two players: by their games, else by ratings whose interval has room for the model's misfit."""
 
 import math
 

@@ -73,7 +73,7 @@ def test_islands_are_numbered_by_size_and_who_has_not_played_is_on_none(match):
 
 
 def extremes(problem):
-    """By linear programmes: bounds of γ and of ν, and (P, P) whether i may rise against j without end."""
+    """Return bounds of γ and of ν, and (P, P) whether i may rise against j without end, by linear programmes."""
     from scipy.optimize import linprog
 
     P, rows, unit = problem.size, [], np.eye(problem.size + 2)
