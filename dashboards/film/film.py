@@ -22,7 +22,14 @@ from storage.recordings.recording import Recording
 
 LAST_PICTURE_SECONDS = 1.0  # a film's last picture stays so long
 SUPERSAMPLING = 2  # factor of resolution each way before pixels are averaged, which smooths edges
-NO_FFMPEG = "an .mp4 needs ffmpeg: pip install 'robot-league[video]' brings it; .gif and .webp need nothing more"
+NO_FFMPEG = (
+    "an .mp4 or .webm needs ffmpeg: pip install 'robot-league[video]' brings it; .gif and .webp need nothing more"
+)
+ENCODERS = {
+    ".mp4": ("-c:v", "libx264", "-crf", "23", "-movflags", "+faststart"),
+    ".webm": ("-c:v", "libvpx-vp9", "-crf", "32", "-deadline", "good", "-cpu-used", "4", "-row-mt", "1"),
+}
+"""ffmpeg's options by suffix. Browsers play VP9 in WebM without a licensed decoder, which H.264 needs."""
 INK, FAINT, BAND = (235, 238, 245), (165, 172, 184), (17, 21, 30)
 
 
@@ -163,11 +170,13 @@ def save_picture(film: Film, path: Path, at_seconds: float) -> None:
 
 
 def save_film(
-    film: Film, path: Path, rate: int, between: tuple[float, float], progress: Callable[[int, int], None]
-) -> None:
+    film: Film, path: Path, rate: int, between: tuple[float, float], progress: Callable[[int, int], None],
+    bits: int | None = None,
+) -> None:  # fmt: skip
     """Write the seconds `between` of a match as a film of `rate` pictures per second, at real speed.
 
-    An .mp4 is made by ffmpeg, a .gif or .webp by Pillow. `progress` is called with the pictures done and their total.
+    An .mp4 or .webm is made by ffmpeg, a .gif or .webp by Pillow. `progress` is called with the pictures done and their
+    total. `bits` per second bound a .webm, by and large.
     Raises ViewerError for another suffix, a start outside the match or a missing ffmpeg, StorageError where the file
     cannot be written; nothing is written then.
     """
@@ -180,15 +189,15 @@ def save_film(
     steps += [nearest_step(recording, last)] * round(LAST_PICTURE_SECONDS * rate)
     pictures = _with_progress(film, steps, progress)
     with new_output(path, FILMS) as partial:
-        if partial.suffix == ".mp4":
-            _encode(pictures, film.size, rate, partial)
+        if partial.suffix in ENCODERS:
+            _encode(pictures, film.size, rate, partial, [] if bits is None else ["-b:v", str(bits)])
         else:
             _animate(pictures, rate, partial)
 
 
 def require_encoder(path: Path) -> None:
     """Raise ViewerError if a film of that name cannot be made here."""
-    if require_kind(path, FILMS).suffix == ".mp4":
+    if require_kind(path, FILMS).suffix in ENCODERS:
         ffmpeg()
 
 
@@ -219,12 +228,13 @@ def _animate(pictures: Iterator[Any], rate: int, path: Path) -> None:
     first.save(path, save_all=True, append_images=others, duration=round(1000 / rate), loop=0, optimize=True)
 
 
-def _encode(pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Path) -> None:
+def _encode(
+    pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Path, options: Sequence[str] = ()
+) -> None:
     """Write a film through ffmpeg, which reads the pictures as they are drawn."""
     command = [
         ffmpeg(), "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}",
-        "-r", str(rate), "-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "23", "-movflags", "+faststart",
-        str(path),
+        "-r", str(rate), "-i", "-", "-pix_fmt", "yuv420p", *ENCODERS[path.suffix], *options, str(path),
     ]  # fmt: skip
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=said, stderr=said)

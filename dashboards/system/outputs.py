@@ -8,7 +8,7 @@ from dashboards.errors import ViewerError
 from storage.blobs.files import replacement_file, require_writable
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-FILMS = (".mp4", ".gif", ".webp")
+FILMS = (".mp4", ".webm", ".gif", ".webp")
 RERUN = (".rrd",)
 _CALLED = {PICTURES: "a picture", FILMS: "a film", RERUN: "a match for rerun"}
 

@@ -28,7 +28,7 @@ class ViewOptions:
     at: float | None = None
     """The picture's moment in seconds (default: two thirds into the match), or the film's first."""
     video: Path | None = None
-    """Write a film, out.mp4, out.gif or out.webp; needs no display and no graphics driver."""
+    """Write a film, out.mp4, out.webm, out.gif or out.webp; needs no display and no graphics driver."""
     seconds: float | None = field(default=None, metadata={"above": 0.0})
     """Length of the film (default: to the end of the match)."""
     rate: int = field(default=20, metadata={"low": 1, "high": 50})
