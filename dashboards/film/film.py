@@ -228,9 +228,7 @@ def _animate(pictures: Iterator[Any], rate: int, path: Path) -> None:
     first.save(path, save_all=True, append_images=others, duration=round(1000 / rate), loop=0, optimize=True)
 
 
-def _encode(
-    pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Path, options: Sequence[str] = ()
-) -> None:
+def _encode(pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Path, options: Sequence[str] = ()) -> None:
     """Write a film through ffmpeg, which reads the pictures as they are drawn."""
     command = [
         ffmpeg(), "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}",

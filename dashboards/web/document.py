@@ -7,7 +7,7 @@ makes the browser refuse all other requests.
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -52,12 +52,44 @@ class PairTable:
 
 
 @dataclass(frozen=True)
+class Card:
+    """An answer in a few words, with the lines behind it, and links to sections: pairs of id and text."""
+
+    title: str
+    answer: str
+    lines: Sequence[str] = ()
+    links: Sequence[tuple[str, str]] = ()
+    is_trouble: bool = False
+
+
+@dataclass(frozen=True)
+class FilmBlock:
+    """A film by its address on the page's server or as a `data:` URI, and its caption.
+
+    Without an address the caption says why there is none.
+    """
+
+    caption: str
+    source: str = ""
+    size: tuple[int, int] = (480, 300)  # pixels
+
+
+Part = str | FigureBlock | TableBlock | PairTable | Card | FilmBlock
+"""A part of a section; a str is plain text."""
+
+
+@dataclass(frozen=True)
 class Section:
-    """A part of the page under a heading: notes (plain text), figures and tables, in order."""
+    """A part of the page under a heading: its parts in order, and those in a second column where there is room.
+
+    `tab` is its name in the navigation, by default the title.
+    """
 
     id: str
     title: str
-    parts: Sequence[str | FigureBlock | TableBlock | PairTable]
+    parts: Sequence[Part]
+    aside: Sequence[Part] = ()
+    tab: str = ""
 
 
 @dataclass(frozen=True)
@@ -76,7 +108,7 @@ def document(page: Page, live: bool = False) -> str:
     Raises ViewerError where Plotly is not installed.
     """
     title, sections = _text(page.title), page.sections
-    links = "".join(f'<li><a href="#{_text(s.id)}">{_text(s.title)}</a></li>' for s in sections)
+    links = "".join(f'<li><a href="#{_text(s.id)}">{_text(s.tab or s.title)}</a></li>' for s in sections)
     own = script("page.js")
     if live:
         scripts = '<script src="plotly.js"></script>\n<script src="page.js" defer></script>'
@@ -139,7 +171,7 @@ def _policy(*scripts: str) -> str:
     """Return a policy by which the browser runs these scripts and no other, and fetches nothing."""
     hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
-    return f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:"
+    return f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; media-src data:"
 
 
 def _static(name: str) -> str:
@@ -147,24 +179,31 @@ def _static(name: str) -> str:
 
 
 def _section(section: Section) -> str:
-    parts = "\n".join(_parts(section))
     name = _text(section.id)
+    parts = [_part(f"{name}-{n}", part) for n, part in enumerate([*section.parts, *section.aside])]
+    inside = "\n".join(parts)
+    if section.aside:
+        first = len(section.parts)
+        columns = ("\n".join(parts[:first]), "\n".join(parts[first:]))
+        inside = f'<div class="columns">\n<div>{columns[0]}</div>\n<div>{columns[1]}</div>\n</div>'
     head = f'<h2 id="{name}-title">{_text(section.title)}</h2>'
-    return f'<section id="{name}" aria-labelledby="{name}-title">\n{head}\n{parts}\n</section>'
+    return f'<section id="{name}" aria-labelledby="{name}-title">\n{head}\n{inside}\n</section>'
 
 
-def _parts(section: Section) -> Iterator[str]:
-    for number, part in enumerate(section.parts):
-        name = f"{_text(section.id)}-{number}"
-        match part:
-            case str():
-                yield f'<p class="notes" id="{name}" data-block>{_text(part)}</p>'
-            case TableBlock():
-                yield f'<div id="{name}" data-block {_region(part.name)}>{part.markup}</div>'
-            case FigureBlock():
-                yield _picture(name, part)
-            case PairTable():
-                yield _pairs(name, part)
+def _part(name: str, part: Part) -> str:
+    match part:
+        case str():
+            return f'<p class="notes" id="{name}" data-block>{_text(part)}</p>'
+        case TableBlock():
+            return f'<div id="{name}" data-block {_region(part.name)}>{part.markup}</div>'
+        case FigureBlock():
+            return _picture(name, part)
+        case PairTable():
+            return _pairs(name, part)
+        case Card():
+            return _card(name, part)
+        case FilmBlock():
+            return _film(name, part)
 
 
 def _region(name: str) -> str:
@@ -172,9 +211,32 @@ def _region(name: str) -> str:
     return f'class="rows" role="region" tabindex="0" aria-label="{_text(name)}"'
 
 
+def _card(name: str, part: Card) -> str:
+    lines = "".join(f"<li>{_text(line)}</li>" for line in part.lines)
+    links = " ".join(f'<a href="#{_text(id)}">{_text(text)}</a>' for id, text in part.links)
+    return (
+        f'<div class="card{" trouble" if part.is_trouble else ""}" id="{name}" data-block><h3>{_text(part.title)}</h3>'
+        f'<p class="answer">{_text(part.answer)}</p>{f"<ul>{lines}</ul>" if lines else ""}'
+        f"{f'<p>{links}</p>' if links else ''}</div>"
+    )
+
+
+def _film(name: str, part: FilmBlock) -> str:
+    """Return a film that its reader starts and stops; it makes no sound, so nothing is lost by its captions' lack."""
+    wide, high = part.size
+    film = (
+        f'<video src="{_text(part.source)}" width="{wide}" height="{high}" controls loop muted playsinline'
+        f' preload="metadata" aria-labelledby="{name}-told"></video>'
+        if part.source
+        else ""
+    )
+    caption = f'<figcaption id="{name}-told">{_text(part.caption)}</figcaption>'
+    return f'<figure class="film" id="{name}" data-block>{film}{caption}</figure>'
+
+
 def _picture(name: str, part: FigureBlock) -> str:
     return (
-        f'<figure id="{name}" data-block><div class="plot" role="img" aria-labelledby="{name}-told"'
+        f'<figure class="chart" id="{name}" data-block><div class="plot" role="img" aria-labelledby="{name}-told"'
         f' style="height: {part.figure["layout"]["height"]}px"></div>'
         f'<figcaption id="{name}-told">{_text(part.caption)}</figcaption>{_embedded(part.figure)}</figure>'
     )

@@ -200,6 +200,16 @@ def lineage(snapshots: Rows) -> Figure:
     return _figure(traces, "training steps of the player", "", 140 + 40 * players, yaxis=axis, hovermode="closest")
 
 
+def compact(figure: Figure, height: int) -> Figure:
+    """Return a figure for a place of `height` pixels: without titles of axes, its legend above."""
+    layout = dict(figure["layout"])
+    for axis in ("xaxis", "yaxis"):
+        layout[axis] = {key: value for key, value in layout[axis].items() if key != "title"}
+    legend = {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom"}
+    margin = {"l": 45, "r": 10, "t": 30, "b": 30}
+    return {**figure, "layout": {**layout, "height": height, "margin": margin, "legend": legend}}
+
+
 def bounds(merit: str) -> tuple[str, str]:
     """Return the keys of a merit's 95 % interval in a row of ratings."""
     return ("low", "high") if merit == "elo" else (f"{merit}_low", f"{merit}_high")

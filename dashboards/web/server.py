@@ -5,6 +5,7 @@ import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dashboards.system.ports import HOST, NAME
@@ -22,13 +23,15 @@ KEEPALIVE_SECONDS = 15.0  # between messages on an open connection without chang
 SHUTDOWN_SECONDS = 2  # time for open connections when the server stops
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self';"
-    " img-src data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
-    "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-store",
+    " img-src data: blob:; media-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin", "Cache-Control": "no-store",
 }  # fmt: skip
 
 
 def serve(
-    listener: socket.socket, version: Callable[[], str], read: Callable[[], Page], found: Callable[[int], RecordedMatch]
+    listener: socket.socket, version: Callable[[], str], read: Callable[[], Page],
+    found: Callable[[int], RecordedMatch], film: Callable[[str], Path | None],
 ) -> None:  # fmt: skip
     """Answer requests until the process is told to stop.
 
@@ -37,7 +40,8 @@ def serve(
         version: returns a value that changes whenever the page does. May raise StorageError, while the store cannot be
             read.
         read: returns the current page.
-        found: returns the recording of a match, by its number, and its players. All three are called in threads.
+        found: returns the recording of a match, by its number, and its players.
+        film: returns the file of a film on the page, by its name. All four are called in threads.
 
     Raises:
         ViewerError: Starlette, uvicorn or Plotly is not installed.
@@ -49,7 +53,7 @@ def serve(
     script("plotly.js")  # otherwise its absence would only show at a browser's request
     server: uvicorn.Server | None = None
     matches = MatchLinks(found, listener.getsockname()[1])
-    app = application(version, read, matches, lambda: server is not None and server.should_exit)
+    app = application(version, read, matches, film, lambda: server is not None and server.should_exit)
     config = uvicorn.Config(
         app, log_level="warning", access_log=False, lifespan="off", server_header=False, headers=[("Server", NAME)],
         timeout_graceful_shutdown=SHUTDOWN_SECONDS,
@@ -62,9 +66,10 @@ def serve(
 
 
 def application(
-    version: Callable[[], str], read: Callable[[], Page], matches: MatchLinks, stopping: Callable[[], bool]
+    version: Callable[[], str], read: Callable[[], Page], matches: MatchLinks, film: Callable[[str], Path | None],
+    stopping: Callable[[], bool],
 ) -> "Starlette":  # fmt: skip
-    """Return the server's routes: the page at `/`, its newer content at `/main`, change events at `/events`, and
+    """Return the server's routes: the page at `/`, its newer content at `/main`, change events at `/events`, films, and
     matches.
 
     Raises ViewerError where Starlette is not installed.
@@ -74,7 +79,7 @@ def application(
         from starlette.concurrency import run_in_threadpool
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
+        from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response, StreamingResponse
         from starlette.routing import Route
     except ImportError as error:
         raise missing_library("starlette", error) from error
@@ -99,10 +104,16 @@ def application(
     async def file(name: str, _: "Request") -> "Response":
         return Response(script(name), media_type="text/javascript", headers=HEADERS)
 
+    async def moving(request: "Request") -> "Response":
+        path = await run_in_threadpool(film, request.path_params["name"])
+        if path is None or not path.is_file():
+            return PlainTextResponse("There is no such film.\n", 404, headers=HEADERS)
+        return FileResponse(path, media_type="video/webm", headers=HEADERS)  # in parts, as players ask for it
+
     async def away(_: "Request", error: Exception) -> "Response":
         return PlainTextResponse(f"{error}\n", 503, headers=HEADERS)
 
-    routes = [Route("/", whole), Route("/main", main), Route("/events", events)]
+    routes = [Route("/", whole), Route("/main", main), Route("/events", events), Route("/film/{name}", moving)]
     routes += [Route(f"/{name}", partial(file, name)) for name in ("page.js", "plotly.js")]
     routes += matches.routes(HEADERS)
     # A foreign host name may resolve to this machine: such a page must not read this one.

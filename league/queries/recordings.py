@@ -12,6 +12,8 @@ from storage.recordings.recording import Recording, RecordingError, RecordingHea
 from storage.recordings.salvage import salvage
 from storage.records import Match
 
+HIGHLIGHTS = ("newest", "best-rated", "closest", "greatest upset")
+"""Kinds of matches that a page shows, in this order."""
 NEAR = 5  # most numbers of other matches in the message about an unknown match
 
 
@@ -31,7 +33,27 @@ def chosen(opened: Open, query: RecordingQuery) -> Match:
     """Return the requested match. Raises StorageError, one line, if there is none of that kind."""
     if query.match is not None:
         return _numbered(opened, query.match)
-    found = _among(opened, recorded(opened), query)
+    return _select(opened, recorded(opened), query)
+
+
+def highlights(opened: Open, most: int) -> list[tuple[str, Match]]:
+    """Return up to `most` recorded matches, none twice, each with its kind of HIGHLIGHTS; the newest comes first.
+
+    Raises StorageError if there is none.
+    """
+    matches, found = recorded(opened), dict[int, tuple[str, Match]]()
+    wishes = {"best": True}, {"closest": True}, {"upset": True}
+    for kind, query in zip(HIGHLIGHTS, [RecordingQuery(), *(RecordingQuery(**wish) for wish in wishes)], strict=True):
+        if len(found) >= most:
+            break
+        with suppress(StorageError):  # none of that kind
+            match = _select(opened, matches, query)
+            found.setdefault(match.id, (kind, match))
+    return list(found.values())
+
+
+def _select(opened: Open, matches: list[Match], query: RecordingQuery) -> Match:
+    found = _among(opened, matches, query)
     if not (query.upset or query.best or query.closest):
         return found[-1] if query.between else _newest(opened, found)
     found = _of_snapshots(found)
@@ -81,6 +103,13 @@ def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) ->
         if not recover:
             raise StorageError(f"{error}; --recover shows what is whole of it") from error
         return salvage(error.data, episode)
+
+
+def describe_match(match: Match, recording: Recording) -> str:
+    """Describe a match in a line."""
+    header = recording.header
+    what = "Training" if match.purpose == "training" else "Match"
+    return f"{what} {match.id}: {' against '.join(header.sides)}, {header.outcome}, {recording.time[-1]:.1f} s"
 
 
 def _numbered(opened: Open, number: int) -> Match:

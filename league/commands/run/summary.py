@@ -5,15 +5,17 @@ from league.commands.ladder_text import ratings_table
 from league.commands.status_line import trouble_text
 from league.config.experiment import Config
 from league.queries.query import score_text
+from league.queries.ratings.evidence import evidence_text
 from league.scheduling.progress_metrics import can_meet, newest_snapshots, reference_opponents
 from league.state.league_state import LeagueState
 from league.state.void_rates import warnings as void_warnings
-from matchmaking.ratings.comparison import CYCLIC_ELO, Comparison, compare_snapshots
+from matchmaking.ratings.comparison import compare_snapshots
 from storage.records import Snapshot
 
 NEXT = """Next:
   league ratings     who is better, and how sure that is
   league watch       a recorded match in 3D (league watch --shot match.png where there is no display)
+  league dash        all of it as a page, with films of matches
   league run         go on training from where it stopped"""
 RIVALS = (
     3  # most newest snapshots of others whose games are listed one by one; `league payoff --newest` has more of them
@@ -42,25 +44,11 @@ def _who_is_better(state: LeagueState) -> list[str]:
         if first.digest == second.digest:  # a copy by the ladder schedule: their ratings differ by chance alone
             lines.append(f"{first.name} and {second.name} are the same policy.")
         else:
-            lines.append(evidence_text(compare_snapshots(state.ladder, first.name, second.name)))
+            lines.append(wrapped(evidence_text(compare_snapshots(state.ladder, first.name, second.name))))
     unknown = [s.name for s in newest if s not in known]
     if unknown:
         lines.append(f"Not known yet: how strong {' and '.join(unknown)} {'is' if len(unknown) == 1 else 'are'}.")
     return lines
-
-
-def evidence_text(found: Comparison) -> str:
-    """Name the stronger of two snapshots and the evidence, or say that it is not known."""
-    first, second = found.first, found.second
-    if found.direct:
-        by = f"{first} scores {score_text(found.score)} against {second}"
-    else:
-        met = f"after {found.score.games} games between the two" if found.score.games else "the two have not met"
-        room = f"± has room for a cyclic term of {CYCLIC_ELO:.0f} Elo"
-        by = f"by the ratings {first} is {found.gap:.0f} ± {found.error:.0f} Elo ahead of {second} ({met}; {room})"
-    if found.sure:
-        return wrapped(f"{first} is stronger than {second}: {by}.")
-    return wrapped(f"It is not known whether {first} or {second} is stronger: {by}.")
 
 
 def _scores_of_newest(config: Config, state: LeagueState) -> list[str]:

@@ -1,15 +1,17 @@
 """`league dash`: a league as a page in a browser of this machine, which is updated as the league goes on."""
 
-from dataclasses import dataclass, field
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 
-from league.commands.options import Where, parse
+from league.commands.options import parse
+from league.commands.watch.page_options import PageOptions
 
 PORT = 8710
 
 
 @dataclass(frozen=True)
-class DashOptions(Where):
-    """The league, and the port that serves it."""
+class DashOptions(PageOptions):
+    """The league, its films, and the port that serves it."""
 
     port: int = field(default=PORT, metadata={"low": 1, "high": 65_535})
     """The port on 127.0.0.1; no other machine can reach it."""
@@ -23,13 +25,18 @@ def dash(args: list[str]) -> int:
     options = parse(DashOptions, args, "dash", what)
     from dashboards.system.ports import listen
     from dashboards.web import server
+    from dashboards.web.document import FilmBlock, Page
     from dashboards.web.match_links import RecordedMatch
-    from league.queries import page
+    from league.matches.match_clips import BackgroundClips
     from league.queries.match_players import players_of
+    from league.queries.page import league_page
     from league.queries.query import Open
     from league.queries.recordings import RecordingQuery, chosen, load
 
-    with options.open() as opened, listen(options.port) as listener:
+    with ExitStack() as stack:
+        opened = stack.enter_context(options.open())
+        listener = stack.enter_context(listen(options.port))
+
         # Without a name, the page shows the league that was run last, which may change.
         def now() -> Open:
             return Open(opened.store, options.league)
@@ -39,10 +46,21 @@ def dash(args: list[str]) -> int:
             recording, _ = load(now(), match)
             return recording, players_of(now(), match, recording.header.sides)
 
+        clips = BackgroundClips(now, options.films)
+
+        def version() -> str:
+            return f"{league_page.version(now())}:{clips.version}"
+
+        def page() -> Page:
+            made = clips.version
+            films = [FilmBlock(clip.caption, f"film/{clip.path.name}") for clip in clips.shown]
+            current = league_page.page(now(), "match/", films or [FilmBlock(clips.note)])
+            return replace(current, version=f"{current.version}:{made}")
+
         url = f"http://{server.HOST}:{options.port}/"
         print(f"League {opened.league}: {url} (Ctrl-C ends it; the league does not notice)", flush=True)
-        try:
-            server.serve(listener, lambda: page.version(now()), lambda: page.page(now(), "match/"), found)
-        except KeyboardInterrupt:
-            return 0
+        if options.films:
+            stack.enter_context(clips.running())
+        with suppress(KeyboardInterrupt):
+            server.serve(listener, version, page, found, clips.path)
     return 0

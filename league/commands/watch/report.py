@@ -1,16 +1,27 @@
 """`league report`: a league as one file to look at or to send."""
 
+import base64
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from league.commands.options import Where, parse, spelt
+from dashboards.errors import ViewerError
+from league.commands.options import parse, spelt
+from league.commands.progress_bar import Progress
+from league.commands.watch.page_options import PageOptions
 from league.config.schema import ConfigError
+from league.queries.query import Open
 from storage.blobs.files import new_file
+from storage.errors import StorageError
+
+if TYPE_CHECKING:
+    from dashboards.web.document import FilmBlock
 
 
 @dataclass(frozen=True)
-class ReportOptions(Where):
-    """The league, and the file to write."""
+class ReportOptions(PageOptions):
+    """The league, its films, and the file to write."""
 
     output: str | None = None
     """The file to write, also as -o FILE; never over another one."""
@@ -18,17 +29,39 @@ class ReportOptions(Where):
 
 def report(args: list[str]) -> int:
     """Write the page of a league."""
-    what = "A league as one HTML file: ladder, ratings over training, payoffs, opponents, curves, jobs, lineage."
+    what = "A league as one HTML file: who leads, films, ladder, payoffs, opponents, curves, jobs, lineage."
     options = parse(ReportOptions, spelt(args), "report", what)
     if not options.output:
         raise ConfigError((), "league report needs -o FILE: see league report --help")
-    from dashboards.web.document import document
-    from league.queries.page import page
+    from dashboards.web.document import document, script
+    from league.queries.page.league_page import page
 
     path = Path(options.output)
     with options.open() as opened:
-        text = document(page(opened)).encode()
+        script("plotly.js")  # its absence is told before films are made
         with new_file(path) as file:
+            films = _films(opened, options.films)
+            text = document(page(opened, films=films)).encode()
             file.write(text)
-    print(f"Wrote {path} ({len(text):,} bytes): any browser opens it, and it needs nothing else.")
+    missing = "" if films[0].source else f" {films[0].caption}"
+    print(f"Wrote {path} ({len(text):,} bytes): any browser opens it, and it needs nothing else.{missing}")
     return 0
+
+
+def _films(opened: Open, most: int) -> "list[FilmBlock]":
+    """Return films that need no file; or one without a film, whose caption says why there is none."""
+    from dashboards.web.document import FilmBlock
+    from league.matches.match_clips import make_clips
+
+    if not most:
+        return [FilmBlock("Films were left out by --films 0.")]
+    try:
+        with Progress("league report") as progress:
+            made = make_clips(opened, most, partial(progress.tell, "pictures of a film"))
+    except ViewerError as error:
+        return [FilmBlock(f"No films: {error}.")]
+    except StorageError as error:
+        return [FilmBlock(str(error))]
+    encoded = [(clip.caption, base64.b64encode(clip.path.read_bytes()).decode()) for clip in made]
+    films = [FilmBlock(caption, f"data:video/webm;base64,{data}") for caption, data in encoded]
+    return films or [FilmBlock("No recording can be read: `league verify` tells why.")]

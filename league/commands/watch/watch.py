@@ -10,9 +10,8 @@ from league.commands.options import Where, parse, positional
 from league.commands.watch.view import ViewOptions, view
 from league.config.schema import ConfigError
 from league.queries.match_players import players_of
-from league.queries.recordings import RecordingQuery, chosen, following, load
+from league.queries.recordings import RecordingQuery, chosen, describe_match, following, load
 from storage.recordings.recording import Recording
-from storage.records import Match
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ def watch(args: list[str]) -> int:
         match = chosen(opened, query)
         recording, missing = load(opened, match, options.episode, options.recover)
         who = players_of(opened, match, recording.header.sides)
-    print(describe(match, recording))
+    print(describe_match(match, recording))
     if missing:
         print(f"league: the recording is damaged: {missing}", file=sys.stderr)
     view(options, recording, who)
@@ -86,15 +85,8 @@ def _follow(options: WatchOptions) -> int:
         for match in following(opened):
             recording, _ = load(opened, match)
             send(recording, players_of(opened, match, recording.header.sides))
-            print(describe(match, recording), flush=True)
+            print(describe_match(match, recording), flush=True)
     return 0
-
-
-def describe(match: Match, recording: Recording) -> str:
-    """Describe a match in a line."""
-    header = recording.header
-    what = "Training" if match.purpose == "training" else "Match"
-    return f"{what} {match.id}: {' against '.join(header.sides)}, {header.outcome}, {recording.time[-1]:.1f} s"
 
 
 def _paired(args: list[str]) -> list[str]:

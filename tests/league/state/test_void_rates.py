@@ -11,7 +11,7 @@ from league.commands.analyse.tables import curves
 from league.commands.run.status import report
 from league.commands.status_line import Ticker, _against_initial
 from league.config import presets
-from league.queries.page import sections
+from league.queries.page.league_page import sections
 from league.queries.query import Open, match_rows, score_text
 from league.state.league_state import LeagueState
 from league.state.void_rates import Voids, of_matches, of_training

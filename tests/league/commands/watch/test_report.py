@@ -9,7 +9,7 @@ import pytest
 
 from dashboards.web import document as pages
 from league.commands.cli import main
-from league.queries import page
+from league.queries.page import league_page
 from league.queries.query import Open
 from storage.records import CurvePoint, Job, League, Phase
 from storage.store import Store
@@ -202,7 +202,7 @@ def test_it_says_what_it_needs(folder, monkeypatch, capsys):
 def test_the_page_loads_neither_what_trains_nor_pandas(folder):
     heavy = ("jax", "torch", "mujoco", "pandas", "scipy", "rerun", "agents", "arenas.arena", "arenas.games")
     program = (
-        "import sys\nfrom league.queries import page\nfrom league.queries.query import Open\n"
+        "import sys\nfrom league.queries.page import league_page\nfrom league.queries.query import Open\n"
         "from storage.store import Store\n"
         f"page.page(Open(Store.open({str(folder / 'league-data')!r})))\n"
         f"print([name for name in {heavy} if name in sys.modules])"

@@ -5,17 +5,19 @@ The page has the same data as the commands `ratings`, `payoff`, `explain`, `curv
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from dashboards.tables import Column, render
 from dashboards.web import figures
-from dashboards.web.document import FigureBlock, Page, PairTable, Section, TableBlock
+from dashboards.web.document import FigureBlock, FilmBlock, Page, PairTable, Part, Section, TableBlock
 from league.config.schema import ConfigError
-from league.queries.columns import CURVES, MATCHES, NEWEST, PLAYERS, PURPOSE, RECORDED, WORKERS
+from league.queries.columns import CURVES, NEWEST, PLAYERS, WORKERS
 from league.queries.league_status import LeagueStatus, gather_status
 from league.queries.opponents import explain_opponents, mark_present, opponent_columns
-from league.queries.query import Open, Shown, curve_rows, match_rows, snapshot_rows
+from league.queries.page.match_tables import newest_matches, pair_table, played
+from league.queries.page.overview import Facts, overview
+from league.queries.query import Open, Shown, curve_rows, snapshot_rows
 from league.queries.ratings.ladder_tables import ISLAND, LADDER, TRIED, for_people, notes_on, title_of
 from league.queries.ratings.metagame import table as payoff_table
 from league.queries.ratings.rating_rows import VOID_NOTE, Row, rating_rows, side_text, unlike_sides, when
@@ -24,22 +26,19 @@ from league.queries.ratings.unbounded_fits import several_ranked
 from league.state.league_state import LeagueState
 from league.state.liveness import leader, processes
 from storage.errors import StorageError
-from storage.records import Match, Player
+from storage.records import Player
 
 DRAWN = {
     "score": "score in training", "reward": "reward per step", "length": "steps per episode", "entropy": "entropy",
     "explained_variance": "explained variance of the critic",
 }  # fmt: skip
 """Metrics of learning that are plotted if they were recorded."""
+NO_FILMS = (FilmBlock("No film is made here: `league dash` and `league report` make some."),)
 STEPS = Column("steps", "training steps")
 LINEAGE = (
     Column("name", "snapshot", no_wrap=True), Column("parent", "goes on from", no_wrap=True), "player", "origin",
     "iteration", "steps", Column("digest", no_wrap=True),
 )  # fmt: skip
-OF_A_PAIR = 10
-"""Number of a pair's newest batches that are listed: `league matches` has all."""
-LINKED_MATCH = Column("match", link_key="led")
-WATCH = Column("watch", "to watch it", is_command=True)
 SHORT = 12  # hexadecimal digits of a digest that tell snapshots apart
 
 
@@ -50,13 +49,17 @@ def version(opened: Open) -> str:
     return f"{opened.league}:{opened.store.revision(opened.league)}:{digest[:SHORT]}"
 
 
-def page(opened: Open, link_prefix: str = "") -> Page:
-    """Return the current page of a league; matches link to their server's pages, at `led` and their number."""
+def page(opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = NO_FILMS) -> Page:
+    """Return the current page of a league; matches link to their server's pages, at `link_prefix` and their number.
+
+    The first of the `films` is shown in the overview, the others beside the matches.
+    """
     state = version(opened)  # first, so that a change during the reading leads to another reading
-    return Page(f"League {opened.league}", f"Robot League, {opened.store.where}", sections(opened, link_prefix), state)
+    found = sections(opened, link_prefix, films)
+    return Page(f"League {opened.league}", f"Robot League, {opened.store.where}", found, state)
 
 
-def sections(opened: Open, link_prefix: str = "") -> list[Section]:
+def sections(opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = NO_FILMS) -> list[Section]:
     """Return all sections about a league, in the order of the page."""
     shown, state = opened.shown(), LeagueState.of(opened.store, opened.league)
     status = gather_status(opened, True, state)
@@ -67,20 +70,21 @@ def sections(opened: Open, link_prefix: str = "") -> list[Section]:
         for row in rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
     ]
     total = opened.store.last_match(opened.league)
-    newest = _played(opened.store.matches(opened.league, after=total - NEWEST), link_prefix)
-    found = {
-        ("now", "Who learns now"): _schedule(status, opened.store.now()),
-        ("ladder", "Ladder"): _ladder(rows, shown),
-        ("ratings", "Ratings over training"): _ratings(rows, shown),
-        ("payoff", "Payoff"): _payoff(shown, opened, link_prefix),
-        ("opponents", "Opponents now"): _opponents(opened, state),
-        ("curves", "Learning curves"): _curves(points),
-        ("throughput", "Throughput"): _throughput(points, status),
-        ("jobs", "Jobs and errors"): _jobs(state, status),
-        ("matches", "Newest matches"): _matches(newest, total, link_prefix),
-        ("lineage", "Lineage"): _lineage(shown),
+    newest = played(opened.store.matches(opened.league, after=total - NEWEST), link_prefix)
+    first = overview(Facts(opened, shown, state, status, rows, points), films[0])
+    found: dict[tuple[str, str, str], Iterable[Part]] = {
+        ("now", "Who learns now", "Players"): _schedule(status, opened.store.now()),
+        ("ladder", "Ladder", ""): _ladder(rows, shown),
+        ("ratings", "Ratings over training", "Ratings"): _ratings(rows, shown),
+        ("payoff", "Payoff", ""): _payoff(shown, opened, link_prefix),
+        ("opponents", "Opponents now", "Opponents"): _opponents(opened, state),
+        ("curves", "Learning curves", "Curves"): _curves(points),
+        ("throughput", "Throughput", ""): _throughput(points, status),
+        ("jobs", "Jobs and errors", "Jobs"): _jobs(state, status),
+        ("matches", "Newest matches", "Matches"): [*newest_matches(newest, total, link_prefix), *films[1:]],
+        ("lineage", "Lineage", ""): _lineage(shown),
     }
-    return [Section(id, title, list(parts)) for (id, title), parts in found.items()]
+    return [first, *(Section(id, title, list(parts), tab=tab) for (id, title, tab), parts in found.items())]
 
 
 def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[Column | str], name: str) -> TableBlock:
@@ -172,7 +176,7 @@ def _payoff(shown: Shown, opened: Open, link_prefix: str) -> Iterator[str | Figu
         )
     yield FigureBlock(figures.payoff(rows, columns, scores, games), f"{caption} A click on a cell shows its matches.")
     met = opened.store.matches(opened.league, among=list(dict.fromkeys([*rows, *columns])))
-    yield _pairs(rows, columns, _played(met, link_prefix), link_prefix)
+    yield pair_table(rows, columns, played(met, link_prefix), link_prefix)
     cells = [
         {"score %": name, **{other: found.cell(name, other, x) for other, x in zip(columns, line, strict=True)}}
         for name, line in zip(rows, scores.tolist(), strict=True)
@@ -250,41 +254,6 @@ def _jobs(state: LeagueState, status: LeagueStatus) -> Iterator[str | TableBlock
     ]  # fmt: skip
     columns = ("job", "kind", "state", "failures", "holder", "last error")
     yield _table(rows, columns, "Jobs that wait, are worked on or were set aside")
-
-
-def _played(matches: Sequence[Match], link_prefix: str) -> list[Row]:
-    """Return the match log, newest first, with the further columns of tables for people."""
-    return [
-        {**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}", "created": when(row["created"]),
-         "watch": f"league watch {row['match']}" if row["recorded"] else None,
-         "led": f"{link_prefix}{row['match']}" if row["recorded"] and link_prefix else None}
-        for row in reversed(match_rows(matches))
-    ]  # fmt: skip
-
-
-def _matches(newest: Sequence[Row], total: int, link_prefix: str) -> Iterator[TableBlock | str]:
-    caption = "`league watch NUMBER` shows a match that was recorded; a click on a command copies it."
-    yield (
-        f"A click on the number of a match that was recorded opens it in 3D, in rerun's viewer. {caption}"
-        if link_prefix
-        else caption
-    )
-    columns = [LINKED_MATCH if c == "match" else c for c in MATCHES if c != RECORDED]
-    columns += [PURPOSE, Column("created", "played", no_wrap=True), WATCH]
-    yield _table(newest, columns, f"The newest {len(newest)} of {total:,} batches, counted for a")
-
-
-def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row], link_prefix: str) -> PairTable:
-    """Return the newest matches of each pair of a heat map."""
-    heads = {"match": "match", "a": "a", "b": "b", "result": "w-d-l", "created": "played", "watch": WATCH.title}
-    found: dict[str, dict[str, list[list[str]]]] = {}
-    for row in played:
-        if {row["a"], row["b"]} <= {*rows, *columns}:
-            own = found.setdefault(row["a"], {}).setdefault(row["b"], [])
-            if len(own) < OF_A_PAIR:
-                own.append([str(row[key] or "") for key in heads])
-    name = f"Matches of a pair, counted for a, the newest {OF_A_PAIR} of each order"
-    return PairTable(rows, columns, list(heads.values()), found, name, link_prefix)
 
 
 def _lineage(shown: Shown) -> Iterator[FigureBlock | TableBlock | str]:

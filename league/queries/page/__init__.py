@@ -1,0 +1,1 @@
+"""The page of a league: an overview, and sections with figures and tables."""
