@@ -123,7 +123,10 @@ def _table(records: list[dict[str, Any]], columns: list[Column], title: str, wid
 def _html(records: list[dict[str, Any]], columns: list[Column], title: str) -> str:
     cells = [[record.get(c.key) for record in records] for c in columns]
     texts = [_texts(values, column.decimals) for column, values in zip(columns, cells, strict=True)]
-    kinds = [' class="number"' if _is_numeric(values) else "" for values in cells]
+    kinds = [
+        ' class="number"' if _is_numeric(values) else ' class="whole"' if c.no_wrap else ""
+        for c, values in zip(columns, cells, strict=True)
+    ]
     marked = [
         list(map(copy_button if c.is_command else escape, column)) for c, column in zip(columns, texts, strict=True)
     ]

@@ -133,8 +133,8 @@ def document(page: Page, live: bool = False) -> str:
 <header>
 <h1>{title}</h1>
 <p class="about">{_text(page.about)}</p>
-<nav aria-label="Sections"><ul>{links}</ul></nav>
 </header>
+<nav aria-label="Sections"><ul>{links}</ul></nav>
 <main id="content" data-version="{_text(page.version)}">
 {body(sections)}
 </main>

@@ -1,4 +1,4 @@
-// Draw the page's figures with Plotly, and keep a served page up to date.
+// Show one section at a time, draw the page's figures with Plotly, and keep a served page up to date.
 "use strict";
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -32,7 +32,7 @@ const drawn = new IntersectionObserver((seen) => {
 }, { rootMargin: "600px" });
 
 function watch(root) {
-  root.querySelectorAll("figure").forEach((figure) => drawn.observe(figure));
+  root.querySelectorAll("figure.chart").forEach((figure) => drawn.observe(figure));
 }
 
 // A click on a figure's cell chooses its pair in the lists that follow the figure.
@@ -93,6 +93,42 @@ function redraw() {
   document.querySelectorAll("figure[data-drawn]").forEach(draw);
 }
 
+const sections = () => [...document.querySelectorAll("main > section")];
+
+function named() {
+  return document.getElementById(decodeURIComponent(location.hash.slice(1)));
+}
+
+// Hidden sections are found by the browser's own search where it can do that. Without this script all are shown.
+function showOnly(section) {
+  document.body.classList.add("tabbed");
+  sections().forEach((each) => (each === section ? each.removeAttribute("hidden") : each.setAttribute("hidden", "until-found")));
+  document.querySelectorAll("nav a").forEach((link) => {
+    const current = link.hash === `#${section.id}`;
+    if (!current) return link.removeAttribute("aria-current");
+    link.setAttribute("aria-current", "true");
+    const list = link.closest("ul");
+    list.scrollLeft = link.offsetLeft - (list.clientWidth - link.offsetWidth) / 2;
+  });
+  // The window may have changed while they were hidden.
+  section.querySelectorAll("figure[data-drawn] .plot").forEach((plot) => Plotly.Plots.resize(plot));
+}
+
+function shown() {
+  return sections().find((section) => !section.hidden) ?? sections()[0];
+}
+
+// The section of the address; an address outside all of them, such as the skip link's, leaves what is shown.
+function navigate() {
+  const target = named(), section = target?.closest("main > section");
+  if (!section) return location.hash.length < 2 && showOnly(sections()[0]);
+  showOnly(section);
+  if (target !== section) return target.scrollIntoView();
+  section.tabIndex = -1; // the next Tab goes on from here, and a screen reader reads its name
+  section.focus({ preventScroll: true });
+  scrollTo(0, 0);
+}
+
 function same(a, b) {
   return (a && a.innerHTML) === (b && b.innerHTML);
 }
@@ -127,8 +163,16 @@ function changePairs(old, fresh) {
   showPair(old);
 }
 
+// A film that plays is left to its viewer until the page changes again.
+function changeFilm(old, fresh) {
+  const film = old.querySelector("video");
+  if (!same(old, fresh) && !(film && !film.paused)) old.innerHTML = fresh.innerHTML;
+}
+
 // Only changed elements are updated, and no block is replaced, to keep focus and scroll positions.
 function change(old, fresh) {
+  if (old.matches(".film")) return changeFilm(old, fresh);
+  if (old.matches(".card")) old.className = fresh.className;
   if (!values(old)) return changeTable(old, fresh);
   const changed = values(old).textContent !== values(fresh).textContent;
   values(old).textContent = values(fresh).textContent;
@@ -138,7 +182,7 @@ function change(old, fresh) {
 }
 
 function update(text) {
-  const fresh = new DOMParser().parseFromString(text, "text/html");
+  const fresh = new DOMParser().parseFromString(text, "text/html"), current = shown().id;
   for (const section of fresh.querySelectorAll("section")) {
     const old = document.getElementById(section.id);
     const ids = (of) => [...of.querySelectorAll("[data-block]")].map((block) => block.id).join();
@@ -150,6 +194,7 @@ function update(text) {
       watch(document.getElementById(section.id));
     }
   }
+  showOnly(document.getElementById(current));
 }
 
 function follow() {
@@ -195,9 +240,18 @@ function follow() {
 addEventListener("change", ({ target }) => target.matches(".pairs select") && showPair(target.closest(".pairs")));
 addEventListener("click", ({ target }) => target.matches("button.copy") && copy(target));
 dark.addEventListener("change", redraw);
-addEventListener("beforeprint", () => document.querySelectorAll("figure").forEach((figure) => {
-  figure.dataset.drawn = "yes";
-  draw(figure);
-}));
+let printed;
+addEventListener("beforeprint", () => {
+  printed = shown();
+  sections().forEach((section) => section.removeAttribute("hidden"));
+  document.querySelectorAll("figure.chart").forEach((figure) => {
+    figure.dataset.drawn = "yes";
+    draw(figure);
+  });
+});
+addEventListener("afterprint", () => showOnly(printed));
+addEventListener("hashchange", navigate);
+addEventListener("beforematch", ({ target }) => showOnly(target.closest("main > section")));
+showOnly(named()?.closest("main > section") ?? sections()[0]);
 watch(document);
 if (document.body.dataset.live) follow();

@@ -34,7 +34,7 @@ DRAWN = {
 }  # fmt: skip
 """Metrics of learning that are plotted if they were recorded."""
 NO_FILMS = (FilmBlock("No film is made here: `league dash` and `league report` make some."),)
-STEPS = Column("steps", "training steps")
+STEPS = Column("steps")
 LINEAGE = (
     Column("name", "snapshot", no_wrap=True), Column("parent", "goes on from", no_wrap=True), "player", "origin",
     "iteration", "steps", Column("digest", no_wrap=True),

@@ -7,7 +7,7 @@ from dashboards.text import clock
 from dashboards.web import figures
 from dashboards.web.document import Card, FigureBlock, FilmBlock, Section
 from league.queries.league_status import LeagueStatus
-from league.queries.page.training_gain import Gain, gains
+from league.queries.page.training_gain import ORDER, Gain, gains
 from league.queries.page.troubles import troubles
 from league.queries.query import Open, Shown, score_text
 from league.queries.ratings.evidence import short_evidence
@@ -62,21 +62,27 @@ def _leaders(facts: Facts) -> Iterator[tuple[str, str]]:
             continue
         first, where = own[0], f" of {side_text(roster)}" if roster else ""
         if ladder.one_team:
-            yield first["name"] + where, f"{first['name']} succeeds: {score_text(ladder.success(first['name']))}."
+            yield (
+                f"{first['name']}{where} leads",
+                f"{first['name']} succeeds: {score_text(ladder.success(first['name']))}.",
+            )
             continue
         rating = f"{first['name']}{where}: {first['elo']:.0f} Elo (95 %: {first['low']:.0f} to {first['high']:.0f})"
-        rival = next((row for row in own if row["player"] != first["player"] or row["player"] is None), first)
-        if rival is first:
-            yield first["name"], f"{rating}."
+        rival = next((row for row in own[1:] if row["player"] is None or row["player"] != first["player"]), None)
+        if rival is None:
+            yield f"{first['name']} leads", f"{rating}."
             continue
         found = compare_snapshots(ladder, first["name"], rival["name"])
         if first["digest"] == rival["digest"]:
-            yield f"{first['name']} and {rival['name']}", f"{rating}, the same policy as {rival['name']}."
+            yield f"{first['name']} and {rival['name']} lead", f"{rating}, the same policy as {rival['name']}."
         elif found.sure and found.first == first["name"]:
-            yield first["name"], f"{rating}; stronger than {rival['name']}: it {short_evidence(found)}."
+            yield f"{first['name']} leads", f"{rating}; stronger than {rival['name']}: it {short_evidence(found)}."
         else:
             ahead = f"{found.first} {short_evidence(found)}"
-            yield f"{first['name']}, not surely", f"{rating}; not known to be stronger than {rival['name']}: {ahead}."
+            yield (
+                f"{first['name']} leads, not surely",
+                f"{rating}; not known to be stronger than {rival['name']}: {ahead}.",
+            )
 
 
 def _learning(facts: Facts) -> Card:
@@ -89,7 +95,7 @@ def _learning(facts: Facts) -> Card:
     seconds = clock(max(at.seconds for at in state.checkpoints.values()))
     so_far = [f"iteration {state.newest.iteration:,}", f"{state.newest.step:,} steps", f"{seconds} of training", *used]
     lines = [f"The league is {_runs(status)}: {', '.join(so_far)}.", *(gain.text for gain in found)]
-    return Card("Is it still learning?", _verdict(found), _first(lines), links)
+    return Card("Is it still learning?", _verdict(found, bool(status.runs)), _first(lines), links)
 
 
 def _first(lines: Sequence[str]) -> list[str]:
@@ -101,15 +107,14 @@ def _runs(status: LeagueStatus) -> str:
     return status.runs.partition(",")[0] or "stopped"
 
 
-def _verdict(found: Sequence[Gain]) -> str:
-    """Answer for all players at once: the losses first, since a mean of gain and loss would hide them."""
-    by: Mapping[str, list[str]] = {
-        kind: [gain.player for gain in found if gain.kind == kind] for kind in ("worse", "better", "open", "unknown")
-    }
+def _verdict(found: Sequence[Gain], runs: bool) -> str:
+    """Answer for all players at once: losses first, since a mean of gains and losses would hide them."""
+    by: Mapping[str, list[str]] = {kind: [gain.player for gain in found if gain.kind == kind] for kind in ORDER}
     if by["worse"]:
         return f"{_named(by['worse'])}: worse than at half the training"
     if by["better"]:
-        return "Yes" if len(by["better"]) == len(found) else f"{_named(by['better'])}: yes; others: not surely"
+        who = "Yes" if len(by["better"]) == len(found) else f"Yes: {_named(by['better'])}; others not surely"
+        return who if runs else f"{who}, until it stopped"
     return "No sure gain over the last half" if by["open"] else "Not known yet"
 
 
@@ -123,7 +128,7 @@ def _others(count: int) -> str:
 
 def _wrong(facts: Facts) -> Card:
     found = troubles(facts.opened, facts.state, facts.status, facts.rows)
-    answer = f"{len(found)} thing{'s' * (len(found) != 1)}" if found else "Nothing that the league knows of"
+    answer = f"{len(found)} thing{'s' * (len(found) != 1)}" if found else "Nothing known"
     return Card(
         "What is wrong?", answer, _first(found), [("jobs", "Jobs and errors"), ("throughput", "Workers")],
         is_trouble=bool(found),
@@ -137,7 +142,7 @@ def _trend(facts: Facts) -> Iterator[FigureBlock]:
     if len(learnt) > 1:
         yield FigureBlock(
             figures.compact(figures.ratings(learnt, merit), TREND),
-            f"{merit.capitalize()} over training steps, with 95 % bands; section Ratings has more.",
+            f"{merit.capitalize()} over training steps, with 95 % bands.",
         )
         return
     for key, title in (("score", "score in training"), ("reward", "reward per step")):

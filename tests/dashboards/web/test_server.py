@@ -28,7 +28,10 @@ def serve(folder: Path, port: int) -> None:
     def found(number: int) -> RecordedMatch:
         raise StorageError(f"There is no match {number}.")
 
-    server.serve(listen(port), version, lambda: Page("Cup", "", [], version()), found)
+    def film(name: str) -> Path | None:
+        return folder / name if name == "cup.webm" else None
+
+    server.serve(listen(port), version, lambda: Page("Cup", "", [], version()), found, film)
 
 
 @pytest.fixture
@@ -72,6 +75,20 @@ def test_a_store_that_is_away_is_told_and_waited_for(at, tmp_path):
         assert event() == ["event: revision", "data: 2"]
     with urllib.request.urlopen(f"{at}/main", timeout=30) as answer:
         assert answer.headers["X-Version"] == "2"
+
+
+def test_films_are_sent_in_parts_and_nothing_else_of_their_folder(at, tmp_path):
+    (tmp_path / "cup.webm").write_bytes(b"0123456789")
+    request = urllib.request.Request(f"{at}/film/cup.webm", headers={"Range": "bytes=2-4"})
+    with urllib.request.urlopen(request, timeout=30) as answer:
+        assert (answer.status, answer.read()) == (206, b"234")
+        assert answer.headers["Content-Type"] == "video/webm"
+        assert "media-src 'self'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    for name in ("version", "..%2Fversion"):
+        with pytest.raises(urllib.error.HTTPError, match="404") as refused:
+            urllib.request.urlopen(f"{at}/film/{name}", timeout=30)
+        refused.value.close()
 
 
 def test_a_port_is_taken_once():

@@ -45,6 +45,10 @@ class Seen:
         self.tab.on("console", lambda message: self.complaints.append(message.text))
         self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
 
+    def show(self, tab: str) -> None:
+        """A section, by the navigation."""
+        self.tab.get_by_role("navigation").get_by_role("link", name=tab, exact=True).click()
+
     def games(self, snapshot: str):
         """The cell of a snapshot's games in the ladder."""
         row = self.tab.get_by_role("region", name="Ladder, best first").get_by_role("row").filter(
@@ -79,11 +83,14 @@ def played(folder, *matches) -> None:
 
 def test_it_changes_without_a_reload_and_outlives_its_server(seen, served, folder):
     seen.tab.evaluate("window.mine = true")  # a reload would forget it
+    seen.show("Ladder")
     before = int(seen.games("blue@4").text_content())
     played(folder, match("blue@4", "red@4", 20, 12))
     expect(seen.games("blue@4")).to_have_text(str(before + 32))
     assert seen.complaints == []
-    assert {url.rpartition("/")[0] for url in seen.asked} == {f"http://127.0.0.1:{served.port}"}
+    at = f"http://127.0.0.1:{served.port}"
+    assert {url.rpartition("/")[0] for url in seen.asked} <= {at, f"{at}/film"}
+    expect(seen.tab.get_by_role("heading", name="Ladder")).to_be_visible()  # where its reader was
 
     served.kill()
     status = seen.tab.get_by_role("status")
@@ -105,6 +112,7 @@ def arrow_to(chooser, name: str) -> None:
 
 def test_a_pair_is_chosen_by_keyboard_and_its_match_copied(seen, folder):
     seen.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    seen.show("Payoff")
     first, second = seen.pairs.get_by_role("combobox").all()
     first.focus()
     arrow_to(first, "blue@1")
@@ -139,6 +147,7 @@ def test_a_pair_is_chosen_by_keyboard_and_its_match_copied(seen, folder):
 
 
 def test_a_click_on_a_cell_shows_its_matches(seen):
+    seen.show("Payoff")
     plot = seen.tab.locator("#payoff .plot")
     plot.scroll_into_view_if_needed()
     plot.locator(".heatmaplayer image").wait_for()
@@ -163,20 +172,103 @@ def test_axe_finds_nothing_and_figures_take_the_readers_colours(browser, folder,
     # The page's own policy lets no other script run, so axe comes in beside it.
     seen = Seen(browser, color_scheme="light", bypass_csp=True)
     seen.tab.goto((folder / "report.html").as_uri())
-    for figure in seen.tab.locator("figure").all():
-        figure.scroll_into_view_if_needed()
-        figure.locator(".main-svg").first.wait_for()
-    seen.choose("blue@4", "red@4")
+    tabs = seen.tab.get_by_role("navigation").get_by_role("link").all_text_contents()
+    assert len(tabs) == 11
+    for tab in tabs:
+        seen.show(tab)
+        for figure in seen.tab.locator("section:not([hidden]) figure.chart").all():
+            figure.scroll_into_view_if_needed()
+            figure.locator(".main-svg").first.wait_for()
+        if tab == "Payoff":
+            seen.choose("blue@4", "red@4")
+        found = Axe().run(seen.tab)
+        assert found.response["passes"]
+        assert found.violations_count == 0, f"{tab}: {found.generate_report()}"
+    seen.show("Ratings")
     for scheme, ink, paper in (("light", "#1b1f24", "#ffffff"), ("dark", "#e6e9ed", "#14181d")):
         seen.tab.emulate_media(color_scheme=scheme)
         expect(seen.tab.locator("body")).to_have_css("background-color", rgb(paper))
-        expect(seen.tab.locator(".xtitle").first).to_have_css("fill", rgb(ink))
-        found = Axe().run(seen.tab, options=None if scheme == "light" else {"runOnly": ["color-contrast"]})
-        assert found.response["passes"]
-        assert found.violations_count == 0, found.generate_report()
+        expect(seen.tab.locator("#ratings .xtitle").first).to_have_css("fill", rgb(ink))
+        for tab in ("Ratings", "Overview"):
+            seen.show(tab)
+            found = Axe().run(seen.tab, options={"runOnly": ["color-contrast"]})
+            assert found.response["passes"]
+            assert found.violations_count == 0, found.generate_report()
+        seen.show("Ratings")
     assert seen.complaints == []
     assert {url.partition(":")[0] for url in seen.asked} <= {"file", "data"}
     seen.context.close()
+
+
+def test_it_opens_with_the_answers_and_shows_one_section_at_a_time(seen):
+    headings = [each.text_content() for each in seen.tab.get_by_role("heading", level=3).all()]
+    assert headings == ["Who leads", "Is it still learning?", "What is wrong?"]
+    visible = seen.tab.locator("main > section:not([hidden])")
+    assert seen.tab.evaluate("document.documentElement.scrollHeight") <= 900
+    expect(visible).to_have_count(1)
+    tabs = seen.tab.get_by_role("navigation").get_by_role("link")
+    tabs.first.focus()
+    expect(tabs.first).to_have_attribute("aria-current", "true")
+    seen.tab.keyboard.press("Tab")
+    seen.tab.keyboard.press("Tab")
+    seen.tab.keyboard.press("Enter")
+    expect(visible).to_have_attribute("id", "ladder")
+    expect(visible).to_be_focused()
+    assert seen.tab.evaluate("scrollY") == 0
+    seen.tab.keyboard.press("Tab")  # goes on in the section
+    expect(seen.tab.get_by_role("region", name="Ladder, best first")).to_be_focused()
+    seen.tab.go_back()
+    expect(visible).to_have_attribute("id", "overview")
+    seen.tab.get_by_role("link", name="Jobs and errors").click()  # of the card
+    expect(visible).to_have_attribute("id", "jobs")
+    seen.tab.get_by_role("link", name="To the content").focus()
+    seen.tab.keyboard.press("Enter")
+    expect(visible).to_have_attribute("id", "jobs")
+    seen.tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    expect(visible).to_have_count(11)
+    seen.tab.evaluate("dispatchEvent(new Event('afterprint'))")
+    expect(visible).to_have_attribute("id", "jobs")
+    assert seen.complaints == []
+
+
+def test_without_scripts_all_sections_are_shown(browser, served):
+    seen = Seen(browser, java_script_enabled=False)
+    seen.tab.goto(f"http://127.0.0.1:{served.port}/")
+    for section in seen.tab.locator("main > section").all():
+        expect(section).to_be_visible()
+    seen.context.close()
+
+
+PLAY = """async film => {
+    await film.play();
+    await new Promise(done => film.addEventListener("timeupdate", done, { once: true }));
+    film.pause();
+    return [film.videoWidth, film.videoHeight, film.currentTime > 0, film.duration];
+}"""
+
+
+def test_films_play_as_served_and_in_a_report(seen, browser, folder, monkeypatch):
+    served = seen.tab.locator("#overview video")
+    served.wait_for(timeout=120_000)  # it is drawn meanwhile
+    *shown, seconds = served.evaluate(PLAY)
+    assert shown == [480, 300, True]
+    assert seconds == pytest.approx(3, abs=0.2)  # of the match two, and the last picture for one
+    assert served.evaluate("film => film.controls && film.muted && film.paused")
+    told = seen.tab.locator("#overview .film figcaption").text_content()
+    assert told is not None
+    assert told.startswith("Newest. Match 2: blue@16 against red@8, win blue, 2.0 s.")
+    assert seen.complaints == []
+
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit, match="0"):
+        main(["report", "-o", "films.html"])
+    report = Seen(browser)
+    report.tab.goto((folder / "films.html").as_uri())
+    film = report.tab.locator("#overview video")
+    assert film.evaluate(PLAY)[:3] == [480, 300, True]
+    assert report.complaints == []
+    assert {url.partition(":")[0] for url in report.asked} <= {"file", "data"}
+    report.context.close()
 
 
 def rgb(colour: str) -> str:

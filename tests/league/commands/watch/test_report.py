@@ -74,12 +74,12 @@ def test_every_figure_has_its_data_and_words(folder, monkeypatch):
     page = reported(folder, monkeypatch)
     titles = [text for tag, text in page.headings if tag == "h2"]
     assert titles == [
-        "Who learns now", "Ladder", "Ratings over training", "Payoff", "Opponents now", "Learning curves",
+        "Overview", "Who learns now", "Ladder", "Ratings over training", "Payoff", "Opponents now", "Learning curves",
         "Throughput", "Jobs and errors", "Newest matches", "Lineage",
     ]  # fmt: skip
     sections = {name.partition("-")[0] for name in page.figures}
-    assert sections == {"ladder", "ratings", "payoff", "opponents", "curves", "throughput", "lineage"}
-    assert page.labels.keys() == page.captions.keys() == page.figures.keys()
+    assert sections == {"overview", "ladder", "ratings", "payoff", "opponents", "curves", "throughput", "lineage"}
+    assert page.labels.keys() == page.figures.keys() == page.captions.keys() - {"overview-3"}  # a film
     assert all(page.captions.values())
     traces = {name: figure["data"] for name, figure in page.figures.items()}
     assert all(traces.values())
@@ -204,7 +204,7 @@ def test_the_page_loads_neither_what_trains_nor_pandas(folder):
     program = (
         "import sys\nfrom league.queries.page import league_page\nfrom league.queries.query import Open\n"
         "from storage.store import Store\n"
-        f"page.page(Open(Store.open({str(folder / 'league-data')!r})))\n"
+        f"league_page.page(Open(Store.open({str(folder / 'league-data')!r})))\n"
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"
@@ -212,14 +212,14 @@ def test_the_page_loads_neither_what_trains_nor_pandas(folder):
 
 def test_opening_it_for_a_page_changes_nothing(folder):
     with Store.open(folder / "league-data") as store:
-        before = page.version(Open(store))
-        page.page(Open(store))
-        assert page.version(Open(store)) == before
+        before = league_page.version(Open(store))
+        league_page.page(Open(store))
+        assert league_page.version(Open(store)) == before
         finish(store, matches=[match("blue@1", "red@1", 5, 3, arena=C)])
-        played = page.version(Open(store))
+        played = league_page.version(Open(store))
         assert played != before
         for doing in ("compiling", "training"):
             store.heartbeat("here:1:train0", "cup", "train", os.getpid(), socket.gethostname(), {"doing": doing})
-            told = page.version(Open(store))
+            told = league_page.version(Open(store))
             assert told != played
             played = told
