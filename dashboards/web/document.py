@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from dashboards.errors import ViewerError
@@ -72,6 +73,11 @@ class FilmBlock:
     caption: str
     source: str = ""
     size: tuple[int, int] = (480, 300)  # pixels
+
+    @classmethod
+    def embedded(cls, path: Path, caption: str) -> "FilmBlock":
+        """Return a WebM file as a film that needs no file."""
+        return cls(caption, f"data:video/webm;base64,{base64.b64encode(path.read_bytes()).decode()}")
 
 
 Part = str | FigureBlock | TableBlock | PairTable | Card | FilmBlock
@@ -203,7 +209,7 @@ def _part(name: str, part: Part) -> str:
         case Card():
             return _card(name, part)
         case FilmBlock():
-            return _film(name, part)
+            return film_markup(name, part)
 
 
 def _region(name: str) -> str:
@@ -221,7 +227,7 @@ def _card(name: str, part: Card) -> str:
     )
 
 
-def _film(name: str, part: FilmBlock) -> str:
+def film_markup(name: str, part: FilmBlock) -> str:
     """Return a film that its reader starts and stops; it makes no sound, so nothing is lost by its captions' lack."""
     wide, high = part.size
     film = (

@@ -13,7 +13,7 @@ from dashboards.errors import ViewerError
 from dashboards.film.clips import Clip, Clips
 from league.queries.match_players import players_of
 from league.queries.query import Open
-from league.queries.recordings import describe_match, highlights, load
+from league.queries.recordings import describe_match, highlights, load, recorded
 from league.system.environment import cache_folder
 from storage.errors import StorageError
 from storage.recordings.recording import Recording
@@ -76,6 +76,10 @@ class BackgroundClips:
     @contextmanager
     def running(self) -> Iterator[None]:
         """Make clips during the block."""
+        try:
+            recorded(self._now())
+        except StorageError as error:  # nothing yet
+            self.note = str(error)
         thread = threading.Thread(target=self._run, name="clips", daemon=True)
         thread.start()
         try:

@@ -12,8 +12,6 @@ from storage.recordings.recording import Recording, RecordingError, RecordingHea
 from storage.recordings.salvage import salvage
 from storage.records import Match
 
-HIGHLIGHTS = ("newest", "best-rated", "closest", "greatest upset")
-"""Kinds of matches that a page shows, in this order."""
 NEAR = 5  # most numbers of other matches in the message about an unknown match
 
 
@@ -29,6 +27,13 @@ class RecordingQuery:
     player: str | None = None
 
 
+HIGHLIGHTS = {
+    "newest": RecordingQuery(), "best-rated": RecordingQuery(best=True), "closest": RecordingQuery(closest=True),
+    "greatest upset": RecordingQuery(upset=True),
+}  # fmt: skip
+"""Kinds of matches that a page shows, in this order."""
+
+
 def chosen(opened: Open, query: RecordingQuery) -> Match:
     """Return the requested match. Raises StorageError, one line, if there is none of that kind."""
     if query.match is not None:
@@ -42,8 +47,7 @@ def highlights(opened: Open, most: int) -> list[tuple[str, Match]]:
     Raises StorageError if there is none.
     """
     matches, found = recorded(opened), dict[int, tuple[str, Match]]()
-    wishes = {"best": True}, {"closest": True}, {"upset": True}
-    for kind, query in zip(HIGHLIGHTS, [RecordingQuery(), *(RecordingQuery(**wish) for wish in wishes)], strict=True):
+    for kind, query in HIGHLIGHTS.items():
         if len(found) >= most:
             break
         with suppress(StorageError):  # none of that kind

@@ -1,12 +1,16 @@
-"""A recorded episode as arrays: positions, actions, rewards, events."""
+"""A recorded episode as arrays: positions, actions, rewards, events; and as a film."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dashboards.errors import ViewerError
+from dashboards.identity import MatchPlayer
+from storage.errors import StorageError
 from storage.recordings.recording import Recording, RecordingHeader
 
 if TYPE_CHECKING:
@@ -15,14 +19,39 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One recorded episode of T control steps. `match` is its number in the league."""
+    """One recorded episode of T control steps. `match` is its number in the league.
+
+    A notebook shows it as a film, which is drawn when it is shown first.
+    """
 
     match: int
     recording: Recording
+    players: tuple[MatchPlayer, ...] | None = None  # names, colours and ratings for the film
 
     def __repr__(self) -> str:
         sides = " against ".join(self.header.sides)
         return f"<episode of match {self.match}: {sides}, {self.recording.steps} steps, {self.header.outcome}>"
+
+    def film(self) -> Path:
+        """Return a film of the episode, or of its last 10 s, as a WebM file of at most 300 kB in the cache folder.
+
+        It is drawn once, in about 8 s of one core. Raises ViewerError without ffmpeg or Pillow, StorageError where the
+        folder cannot be written.
+        """
+        from league.matches.match_clips import kept_clips
+
+        return kept_clips().make(self.recording, self.players).path
+
+    def _repr_html_(self) -> str:
+        """Return the film as a notebook shows it; where none can be made, the reason."""
+        from dashboards.web.document import FilmBlock, film_markup
+
+        text = repr(self).strip("<>")
+        try:
+            shown = FilmBlock.embedded(self.film(), text)
+        except (ViewerError, StorageError) as error:
+            shown = FilmBlock(f"{text}. No film: {error}.")
+        return film_markup(f"match-{self.match}", shown)
 
     @property
     def header(self) -> RecordingHeader:

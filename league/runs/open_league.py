@@ -5,12 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 from league.queries import recordings
 from league.queries.league_status import gather_status
+from league.queries.match_players import players_of
 from league.queries.opponents import explained
 from league.queries.query import Open, choose, match_rows
 from league.queries.ratings.metagame import table
 from league.runs.episode import Episode
 from storage.errors import StorageError
 from storage.recordings.recording import headers
+from storage.records import Match
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,14 +92,17 @@ class OpenLeague(Open):
         except TypeError:
             wishes = ", ".join(name for name in recordings.RecordingQuery.__annotations__ if name != "match")
             raise StorageError(f"a recording is chosen by match, episode, {wishes}; not {', '.join(wish)}") from None
-        chosen = recordings.chosen(self, query)
-        return Episode(chosen.id, recordings.load(self, chosen, episode)[0])
+        return self._episode(recordings.chosen(self, query), episode)
 
     def episodes(self, match: int) -> list[Episode]:
         """Return all recorded episodes of a match. Raises StorageError if it was not recorded."""
         chosen = recordings.chosen(self, recordings.RecordingQuery(match))
         count = len(headers(self.store.blobs.get(str(chosen.recording))))
-        return [Episode(chosen.id, recordings.load(self, chosen, number)[0]) for number in range(count)]
+        return [self._episode(chosen, number) for number in range(count)]
+
+    def _episode(self, match: Match, number: int) -> Episode:
+        recording, _ = recordings.load(self, match, number)
+        return Episode(match.id, recording, players_of(self, match, recording.header.sides))
 
     def policy(self, name: str, seed: int = 0) -> "PolicyCallable":
         """Return a snapshot, or a player's newest, as a callable from observations to actions.

@@ -113,7 +113,8 @@ def test_html_has_a_tables_cells_and_names_rows_and_columns():
         [{"name": "<a>", "games": 12800, "elo": None}], [Column("name", no_wrap=True), "games", "elo"], "html", "T"
     )
     assert text == (
-        '<table><caption>T</caption><thead><tr><th scope="col" class="whole">name</th><th scope="col" class="number">games</th>'
+        '<table><caption>T</caption><thead><tr><th scope="col" class="whole">name</th>'
+        '<th scope="col" class="number">games</th>'
         '<th scope="col">elo</th></tr></thead>\n<tbody>\n'
         '<tr><th scope="row">&lt;a&gt;</th><td class="number">12,800</td><td>–</td></tr>\n</tbody></table>'
     )

@@ -1,6 +1,5 @@
 """`league report`: a league as one file to look at or to send."""
 
-import base64
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -62,6 +61,5 @@ def _films(opened: Open, most: int) -> "list[FilmBlock]":
         return [FilmBlock(f"No films: {error}.")]
     except StorageError as error:
         return [FilmBlock(str(error))]
-    encoded = [(clip.caption, base64.b64encode(clip.path.read_bytes()).decode()) for clip in made]
-    films = [FilmBlock(caption, f"data:video/webm;base64,{data}") for caption, data in encoded]
+    films = [FilmBlock.embedded(clip.path, clip.caption) for clip in made]
     return films or [FilmBlock("No recording can be read: `league verify` tells why.")]

@@ -79,7 +79,8 @@ def _follow(options: WatchOptions) -> int:
         if options.web:
             hub = stack.enter_context(viewer.hub(options.port))
             send = hub.send
-            print(f"{hub.address}\nshows it in a browser on this machine; Ctrl-C ends that.", flush=True)
+            ends = "Ctrl-C ends that, and with `league run --live` the league too"
+            print(f"{hub.address}\nshows each match in a browser on this machine; {ends}.", flush=True)
         else:
             viewer.require_display("--live --web for a browser on this machine, or --save match.rrd for a file")
         for match in following(opened):

@@ -118,7 +118,7 @@ def test_an_mp4_is_read_back_by_ffmpeg(shown, tmp_path):
 
 
 def test_what_cannot_be_made_is_told_and_leaves_nothing(shown, tmp_path, monkeypatch):
-    with pytest.raises(ViewerError, match=r"\*\.mp4, \*\.gif, \*\.webp, not m\.avi"):
+    with pytest.raises(ViewerError, match=r"\*\.mp4, \*\.webm, \*\.gif, \*\.webp, not m\.avi"):
         save_film(shown, tmp_path / "m.avi", 10, (0, 1), lambda *_: None)
     with pytest.raises(ViewerError, match=r"no second 9 in this match; it has 0\.02 to 2"):
         film.save_picture(shown, tmp_path / "m.png", 9)

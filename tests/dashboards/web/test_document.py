@@ -6,7 +6,18 @@ import hashlib
 import pytest
 
 from dashboards.tables import Column, render
-from dashboards.web.document import FigureBlock, Page, PairTable, Section, TableBlock, body, document, script
+from dashboards.web.document import (
+    Card,
+    FigureBlock,
+    FilmBlock,
+    Page,
+    PairTable,
+    Section,
+    TableBlock,
+    body,
+    document,
+    script,
+)  # fmt: skip
 from tests.markup import Markup
 
 NASTY = "</script><script>alert(1)</script>&\"'<!--"
@@ -60,6 +71,23 @@ def test_a_table_can_be_read_and_scrolled_without_a_mouse():
     assert page.attributes["one-2"]["tabindex"] == "0"
     assert page.attributes["one-2"]["aria-label"] == NASTY
     assert page.attributes["one"]["aria-labelledby"] in page.ids
+
+
+def test_cards_and_films_hold_any_text_and_stand_in_two_columns(tmp_path):
+    (tmp_path / "film.webm").write_bytes(b"moving")
+    film = FilmBlock.embedded(tmp_path / "film.webm", NASTY)
+    card = Card(NASTY, NASTY, [NASTY], [("one", NASTY)], is_trouble=True)
+    section = Section("one", "One", [card], [film, FilmBlock("no film")], tab="Tab")
+    text = document(Page("Cup", "", [section]))
+    page = Markup(text)
+    assert page.headings == [("h1", "Cup"), ("h2", "One"), ("h3", NASTY)]
+    assert page.captions == {"one-1": NASTY, "one-2": "no film"}
+    assert page.notes.count(NASTY) == 1  # the answer
+    assert "data:video/webm;base64,bW92aW5n" in page.links
+    assert "media-src data:" in page.policy
+    assert text.count("<video") == 1  # none for the film that is not there
+    assert page.attributes["one-0"]["class"] == "card trouble"
+    assert ">Tab</a>" in text
 
 
 def test_what_plotly_cannot_read_is_refused():

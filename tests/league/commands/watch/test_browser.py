@@ -1,6 +1,7 @@
 """The page of a league in a real browser: what is seen, read out, typed and clicked."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -19,6 +20,12 @@ expect.set_options(timeout=60_000)  # machines that do other things too
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROBOT_LEAGUE_CACHE", str(folder / "cache"))
+        yield _filled(folder)
+
+
+def _filled(folder: Path) -> Path:
     with filled(folder / "league-data") as store:
         film = store.blobs.put(to_bytes(cars()))
         finish(store, matches=[match("blue@1", "red@1", 48, 16), match("red@1", "blue@1", 8, 24, recording=film)])
