@@ -58,28 +58,17 @@ def terminal(store: str, out: Path, browser: "Browser") -> None:
 
 
 def page(store: str, out: Path, browser: "Browser") -> None:
-    """Take the page from its ratings on, with the matches of the best snapshot against its own first one."""
+    """Take the page as it opens: who leads, whether it still learns, what is wrong, and the newest film."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.html"
-        league("report", "--store", store, "-o", str(report))
-        tab = browser.new_page(viewport={"width": 1200, "height": 900})
+        league("report", "--store", store, "--films", "1", "-o", str(report))
+        tab = browser.new_page(viewport={"width": 1200, "height": 740})
         tab.goto(report.as_uri())
-        best = tab.locator("#ladder tbody th").first.text_content() or ""
-        for chooser, name in zip(
-            tab.locator(".pairs select").all(), (best, f"{best.partition('@')[0]}@0"), strict=True
-        ):
-            chooser.select_option(name)
-        for figure in tab.locator("#ratings figure, #payoff figure").all():
-            figure.scroll_into_view_if_needed()
-            figure.locator(".main-svg").first.wait_for()
-        tab.evaluate("scrollTo(0, 0)")
-        top, last = (tab.locator(part).bounding_box() for part in ("#ratings", ".pairs"))
-        assert top is not None
-        assert last is not None
-        height = last["y"] + last["height"] + 16 - top["y"]
-        tab.screenshot(
-            path=out / "page.png", full_page=True, clip={"x": 0, "y": top["y"], "width": 1200, "height": height}
+        tab.locator("#overview .chart .main-svg").first.wait_for()
+        tab.locator("video").evaluate(
+            "film => new Promise(done => { film.onseeked = done; film.currentTime = film.duration / 2; })"
         )
+        tab.screenshot(path=out / "page.png")
 
 
 PICTURES: dict[str, Callable[[str, Path, "Browser"], None]] = {"match": match, "page": page, "terminal": terminal}

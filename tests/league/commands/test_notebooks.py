@@ -1,5 +1,6 @@
 """The notebooks of the documents do what they say, and carry no outputs."""
 
+import base64
 import json
 from pathlib import Path
 
@@ -57,8 +58,18 @@ def test_the_notebook_of_run_and_then_that_of_open(folder, monkeypatch, capsys):
     assert found["opponents"].attrs["kind"] == "latest"
 
 
+@pytest.mark.slow  # it compiles an arena with bodies
+def test_the_notebook_of_watch_shows_a_film(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("ROBOT_LEAGUE_CACHE", str(folder / "cache"))
+    episode = execute("watch")["episode"]
+    assert " against " in capsys.readouterr().out
+    assert f"base64,{base64.b64encode(episode.film().read_bytes()).decode()}" in episode._repr_html_()
+    assert episode.film().is_relative_to(folder / "cache")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["run", "open"])
+@pytest.mark.parametrize("name", ["run", "open", "watch"])
 def test_the_notebooks_run_in_a_kernel(name, folder):
     nbclient = pytest.importorskip("nbclient")
     nbformat = pytest.importorskip("nbformat")
