@@ -68,6 +68,9 @@ def page(store: str, out: Path, browser: "Browser") -> None:
         tab.locator("video").evaluate(
             "film => new Promise(done => { film.onseeked = done; film.currentTime = film.duration / 2; })"
         )
+        tab.locator(".about").evaluate("about => about.textContent = 'Robot League'")  # without this machine's folder
+        tab.mouse.move(0, 0)
+        tab.wait_for_timeout(500)  # the player's spinner
         tab.screenshot(path=out / "page.png")
 
 

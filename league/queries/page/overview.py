@@ -1,4 +1,4 @@
-"""The page's first section: who leads, whether training still gains, what is wrong, and the newest film."""
+"""First section of the page: who leads, whether training still gains, what is wrong, and the newest film."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -22,7 +22,7 @@ TREND = 210  # pixels
 
 
 class Facts(NamedTuple):
-    """What the overview is computed from; the other sections have read it too."""
+    """Facts from which the overview is computed; the other sections have read them too."""
 
     opened: Open
     shown: Shown

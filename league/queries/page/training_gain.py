@@ -1,4 +1,4 @@
-"""Whether training still gains: each player's newest rated snapshot against the one at half of its training."""
+"""Gains of training: each player's newest rated snapshot against the one at half of its training."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

@@ -1,4 +1,4 @@
-"""What is wrong with a league, a line for each thing: the overview's list."""
+"""Troubles of a league, a line for each: the overview's list."""
 
 from collections.abc import Sequence
 
