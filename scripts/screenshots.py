@@ -27,6 +27,13 @@ COLUMNS = "112"
 SCREEN = """<pre style="display: inline-block; margin: 0; padding: 18px 22px; background: #0c0c0c; color: #d9d9d9;
 font: 15px/1.25 'DejaVu Sans Mono', monospace">{code}</pre>"""
 
+MIDDLE = """async film => {
+    await film.play();
+    film.pause();
+    await new Promise(done => { film.onseeked = done; film.currentTime = film.duration / 2; });
+}"""
+"""Moves a film to its middle."""
+
 
 def league(*args: str) -> str:
     """Run a `league` command in a terminal and return what it prints."""
@@ -65,12 +72,9 @@ def page(store: str, out: Path, browser: "Browser") -> None:
         tab = browser.new_page(viewport={"width": 1200, "height": 740})
         tab.goto(report.as_uri())
         tab.locator("#overview .chart .main-svg").first.wait_for()
-        tab.locator("video").evaluate(
-            "film => new Promise(done => { film.onseeked = done; film.currentTime = film.duration / 2; })"
-        )
+        tab.locator("video").evaluate(MIDDLE)
         tab.locator(".about").evaluate("about => about.textContent = 'Robot League'")  # without this machine's folder
-        tab.mouse.move(0, 0)
-        tab.wait_for_timeout(500)  # the player's spinner
+        tab.wait_for_timeout(2000)  # until the player has taken its spinner away
         tab.screenshot(path=out / "page.png")
 
 
