@@ -72,7 +72,10 @@ def recorded(opened: Open) -> list[Match]:
     """Return all recorded matches, oldest first. Raises StorageError if there is none."""
     found = [m for m in opened.store.matches(opened.league) if m.recording is not None]
     if not found:
-        raise StorageError(f"League {opened.league} has no recorded match yet: `league run` plays and records some.")
+        raise StorageError(
+            f"League {opened.league} has no recorded match yet: `league run` plays and records some, except in games"
+            " without bodies."
+        )
     return found
 
 
