@@ -7,9 +7,10 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from league.system import devices, environment, provenance
+from league.system import devices, environment
 from league.system.memory import machine
-from league.system.versions import versions
+from league.system.packages.displaced import displaced_package
+from league.system.packages.versions import versions
 
 State = Literal["ok", "optional", "slow", "missing"]
 
@@ -54,7 +55,7 @@ def examine() -> Iterator[Finding]:
 
 def _packages() -> Finding:
     found = ", ".join(f"{name} {number}" for name, number in versions().items())
-    if problem := provenance.displaced_package():
+    if problem := displaced_package():
         return Finding("packages", "missing", problem, "a virtual environment for robot-league alone")
     if absent := _absent(""):
         return Finding("packages", "missing", f"no {', '.join(absent)}", f"pip install {' '.join(absent)}")
