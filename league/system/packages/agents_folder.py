@@ -8,7 +8,6 @@ SDK's files, in either order of installation, and `import agents` is the SDK's. 
 import sys
 from collections.abc import Iterator, Sequence
 from importlib.machinery import ModuleSpec, PathFinder
-from importlib.util import find_spec
 from pathlib import Path
 
 NAME = "agents"
@@ -22,9 +21,20 @@ class AgentsFinder:
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:
-        """Return the spec of one of our modules `agents.*`, None for any other module."""
+        """Return the spec of one of our modules `agents.*`, None for any other module.
+
+        Raises ImportError if the other package `agents` has a module of that name too.
+        """
         package, _, module = name.partition(".")
-        return PathFinder.find_spec(name, [str(FOLDER)]) if package == NAME and module in MODULES else None
+        if package != NAME or module not in MODULES:
+            return None
+        ours = PathFinder.find_spec(name, [str(FOLDER)])
+        theirs = PathFinder.find_spec(name, path) if getattr(sys.modules.get(NAME), "__file__", None) else None
+        if ours and theirs and theirs.origin != ours.origin:
+            raise ImportError(
+                f"{name} is both {theirs.origin} and Robot League's {ours.origin}: rename that folder or module"
+            )
+        return ours
 
 
 def share() -> None:
@@ -39,12 +49,6 @@ def sources() -> Iterator[Path]:
         yield from (FOLDER / module).rglob("*.py") if (FOLDER / module).is_dir() else [FOLDER / f"{module}.py"]
 
 
-def other_package() -> Path | None:
-    """Return the `__init__.py` that Python imports as `agents`; None if it is our folder alone."""
-    spec = find_spec(NAME)
-    return Path(spec.origin) if spec is not None and spec.origin else None
-
-
 def is_installed(package: Path) -> bool:
     """Return True if a package, given as its `__init__.py`, lies where distributions are installed."""
     return any(package.parents[1].glob("*.dist-info"))
@@ -53,7 +57,7 @@ def is_installed(package: Path) -> bool:
 def clashes(package: Path) -> list[str]:
     """Return names of ours that another package `agents` has too, or has overwritten where it lies in our folder."""
     if package.parent != FOLDER:
-        return sorted({path.stem for path in package.parent.iterdir()} & set(MODULES))
+        return sorted(f"{NAME}.{path.stem}" for path in package.parent.iterdir() if path.stem in MODULES)
     from importlib.metadata import PackageNotFoundError, distribution
 
     try:

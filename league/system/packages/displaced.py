@@ -1,5 +1,6 @@
 """Packages of others in the place of ours: named in one line before anything is imported from them."""
 
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -19,7 +20,7 @@ def displaced_package() -> str:
     for package in PACKAGES:
         spec = find_spec(package)
         if package == agents_folder.NAME:
-            if problem := _displaced_agents(None if spec is None else spec.origin):
+            if problem := _displaced_agents(spec):
                 return problem
             continue
         places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
@@ -33,13 +34,13 @@ def displaced_package() -> str:
     return ""
 
 
-def _displaced_agents(origin: str | None) -> str:
-    """Return a line about what Python imports as `agents`, whose `__init__.py` is at `origin`; empty if all is well."""
-    if not (agents_folder.FOLDER / "settings.py").exists():
+def _displaced_agents(spec: ModuleSpec | None) -> str:
+    """Return a line about what Python imports as `agents`; empty if our modules of it can be imported."""
+    if spec is None:
         return _missing(agents_folder.NAME)
-    if origin is None:  # our folder alone, or with others that have no `__init__.py` either
+    if spec.origin is None:  # our folder, and perhaps others that have no `__init__.py` either
         return ""
-    found = Path(origin)
+    found = Path(spec.origin)
     if found.name != "__init__.py" or not agents_folder.is_installed(found):
         return _displaced(agents_folder.NAME, found)
     if clashing := agents_folder.clashes(found):
