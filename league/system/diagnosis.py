@@ -42,11 +42,13 @@ class Finding(NamedTuple):
 
 def examine() -> Iterator[Finding]:
     """Yield the findings one by one; the graphics driver is tried, which takes a few seconds."""
-    yield _packages()
+    packages = _packages()
+    yield packages
     yield _processor()
-    yield from _gpus()
-    yield _engine()
-    yield _compiler()
+    if packages.state != "missing":  # these import jax, mujoco and torch
+        yield from _gpus()
+        yield _engine()
+        yield _compiler()
     yield from _extras()
     yield _graphics()
     yield _caches()
