@@ -114,7 +114,6 @@ def single(name: "str | Settings", team: str, opponent: "Choice" = None, **optio
     """Return one world as a Gymnasium `Env` of a team; arguments are those of `vector`. It is far slower per world."""
     _require("gymnasium")
     from arenas.contract.environments.single_env import TeamEnv
-    from arenas.contract.environments.stable_baselines import StableBaselinesEnv
 
     return TeamEnv(name, team, opponent, **options)
 

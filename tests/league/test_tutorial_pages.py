@@ -58,7 +58,7 @@ def write_policy(path: Path) -> None:
 
 def shorter(words: list[str]) -> list[str]:
     """A command of the page with less to do."""
-    for option in ("--for", "--budget", "--training.worlds", "--episodes"):
+    for option in ("--for", "--budget", "--budget.steps", "--training.worlds", "--episodes"):
         if option in words:
             del words[words.index(option) : words.index(option) + 2]
     return [*words, *SHORTER.get(words[0], ())]
@@ -96,6 +96,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # four programs of matches and learning, each compiled anew
 def test_every_step_of_the_hour_runs_in_its_order(folder, capsys):
     out = ""
     for name, given in steps("hour.md"):

@@ -110,7 +110,7 @@ def _all_about(name: str, given: flags.Given, format: Literal["table", "json"]) 
     blocks += ["Settings, as flags of `league run`; in league.toml they stand under [arena]:"]
     blocks += ["\n".join([title, *entries]) for title, entries in help.groups(found, ("arena",))]
     if sheet.page:
-        blocks += [f"Its page: {sheet.page}, its picture: {sheet.picture}"]
+        blocks += [f"Its page: {sheet.page}{f', its picture: {sheet.picture}' if sheet.picture else ''}"]
     return "\n\n".join(blocks)
 
 
