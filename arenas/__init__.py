@@ -3,8 +3,8 @@
 `names()` lists the arenas, `settings(name)` returns an arena's settings, `load(name)` builds it. An arena of your own
 needs no registration: `path/to/duel.py:duel` names the arena `duel` of a file, `package.module:duel` that of a module.
 
-`pettingzoo(name)`, `vector(name, team, opponent)` and `single(name, team, opponent)` are environments for learners of
-your own (docs/environments.md).
+`pettingzoo(name)`, `vector(name, team, opponent)`, `stable_baselines` and `single` of the same arguments are
+environments for learners of your own (docs/environments.md).
 """
 
 import difflib
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from arenas.arena_settings import EngineOptions
     from arenas.contract.environments.parallel_env import WorldEnv
     from arenas.contract.environments.single_env import TeamEnv
+    from arenas.contract.environments.stable_baselines import StableBaselinesEnv
     from arenas.contract.environments.vector_env import Choice, TeamVectorEnv
 
 MODULES = (
@@ -115,6 +116,22 @@ def single(name: "str | Settings", team: str, opponent: "Choice" = None, **optio
     from arenas.contract.environments.single_env import TeamEnv
 
     return TeamEnv(name, team, opponent, **options)
+
+
+def stable_baselines(
+    name: "str | Settings", team: str, opponent: "Choice" = None, *, num_envs: int = 1, **options: Any
+) -> "StableBaselinesEnv":
+    """Return many worlds as a `VecEnv` of Stable-Baselines3; arguments are those of `vector`, arrays are NumPy's."""
+    from arenas.errors import ArenaError
+
+    _require("gymnasium")
+    if importlib.util.find_spec("stable_baselines3") is None:
+        raise ArenaError("this environment needs another package: pip install stable-baselines3")
+    if options.get("arrays", "numpy") != "numpy":
+        raise ArenaError(f"arrays={options['arrays']!r:.40}: Stable-Baselines3 takes NumPy's, so leave it out")
+    from arenas.contract.environments.stable_baselines import StableBaselinesEnv
+
+    return StableBaselinesEnv(vector(name, team, opponent, num_envs=num_envs, **options))
 
 
 def _require(*packages: str) -> None:

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from dashboards import viewer
-from league.system.versions import versions
+from league.system.packages.versions import versions
 from scripts.record import make_parser, report, run_info, spread
 from storage.recordings.recording import Recording, RecordingHeader, from_bytes, to_bytes
 from storage.records import ArenaKey

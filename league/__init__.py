@@ -9,6 +9,8 @@ with league.open("league-data") as newest:
 
 from typing import TYPE_CHECKING, Any
 
+from league.system.packages.agents_folder import share as _share_agents
+
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Mapping
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from league.matches.own_policy import Policy as Policy
     from league.runs.open_league import OpenLeague
     from league.snapshots.frozen_opponent import FrozenOpponent, ProgramOpponent
+
+_share_agents()
 
 
 def open(where: str = "league-data", league: str | None = None) -> "OpenLeague":

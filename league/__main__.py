@@ -2,12 +2,12 @@
 
 import sys
 
-from league.system import provenance
+from league.system.packages import displaced
 
 
 def main() -> None:
     """Run the command, or exit with 2 and one line if another package is in the place of one of ours."""
-    if problem := provenance.displaced_package():
+    if problem := displaced.displaced_package():
         print(f"league: {problem}", file=sys.stderr)
         sys.exit(2)
     from league.commands.cli import main as command

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from league.system.versions import versions
+from league.system.packages.versions import versions
 
 ROOT = Path(__file__).resolve().parents[1]
 

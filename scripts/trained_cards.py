@@ -33,7 +33,7 @@ from league.runtime.bootstrap import create
 from league.scheduling.progress_metrics import can_meet
 from league.snapshots import policy_file
 from league.state.jobs import RatingMatch
-from league.system.versions import versions
+from league.system.packages.versions import versions
 from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.payoff import Score
 from storage.records import Match

@@ -120,7 +120,12 @@ class RobotTrial:
         sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
         drift = float(np.hypot(data.qpos[at], data.qpos[at + 1]))
         after = f"{start:.3g} m, after {STANDS:g} s {data.qpos[at + 2]:.3g} m, tilt {tilt:.0f}°, drift {drift:.2g} m"
-        ends = "" if fell is None else f"; it has fallen after {fell:.2g} s: its zero action holds no balance"
+        ends = (
+            ""
+            if fell is None
+            else f"; it has fallen after {fell:.2g} s: the zero action holds no balance (legs want a"
+            " bent `home` in the robot file, then `league robot FILE --fit`; a humanoid needs a policy)"
+        )
         return Finding(f"stands, steps of {step:g} s", sound and fell is None, after + ends)
 
     def moved(self) -> list[Moved]:

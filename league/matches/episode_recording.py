@@ -9,8 +9,8 @@ import numpy as np
 from agents.rollout.rollout import PlayedEpisodes
 from arenas.arena import Arena
 from arenas.state import Frames
+from league.system.packages.versions import versions
 from league.system.provenance import code
-from league.system.versions import versions
 from storage.recordings.recording import Recording, RecordingHeader
 from storage.records import ArenaKey, Snapshot
 

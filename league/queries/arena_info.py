@@ -46,8 +46,8 @@ class Sheet:
 
     @property
     def picture(self) -> str:
-        """The file of its picture, a moment of a match between scripts; empty if it has no page."""
-        return f"{PICTURES}/{self.name}.png" if self.outline.page else ""
+        """The file of its picture, a moment of a match between scripts; empty if it has none, as your own arenas."""
+        return f"{PICTURES}/{self.name}.png" if self.outline.page and ":" not in self.name else ""
 
 
 def outline(settings: "Settings", built: "Arena | None" = None) -> Outline:

@@ -17,7 +17,7 @@ from league.config.sections import check_name
 from league.config.toml import key_lines
 from league.snapshots.policy_file import trained
 from league.state.curriculum_stage import course, stages_of
-from league.system.versions import versions
+from league.system.packages.versions import versions
 from storage.blobs.files import new_file
 from storage.database.schema import newest_schema
 from storage.errors import DamagedBlob, NotAStore, StorageError, UnknownName

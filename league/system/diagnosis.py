@@ -7,9 +7,10 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from league.system import devices, environment, provenance
+from league.system import devices, environment
 from league.system.memory import machine
-from league.system.versions import versions
+from league.system.packages.displaced import displaced_package
+from league.system.packages.versions import versions
 
 State = Literal["ok", "optional", "slow", "missing"]
 
@@ -41,11 +42,13 @@ class Finding(NamedTuple):
 
 def examine() -> Iterator[Finding]:
     """Yield the findings one by one; the graphics driver is tried, which takes a few seconds."""
-    yield _packages()
+    packages = _packages()
+    yield packages
     yield _processor()
-    yield from _gpus()
-    yield _engine()
-    yield _compiler()
+    if packages.state != "missing":  # these import jax, mujoco and torch
+        yield from _gpus()
+        yield _engine()
+        yield _compiler()
     yield from _extras()
     yield _graphics()
     yield _caches()
@@ -54,7 +57,7 @@ def examine() -> Iterator[Finding]:
 
 def _packages() -> Finding:
     found = ", ".join(f"{name} {number}" for name, number in versions().items())
-    if problem := provenance.displaced_package():
+    if problem := displaced_package():
         return Finding("packages", "missing", problem, "a virtual environment for robot-league alone")
     if absent := _absent(""):
         return Finding("packages", "missing", f"no {', '.join(absent)}", f"pip install {' '.join(absent)}")

@@ -12,15 +12,14 @@ import subprocess
 import sys
 from contextlib import suppress
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
-from league.system.versions import versions
+from league.system.packages import agents_folder
+from league.system.packages.versions import versions
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("agents", "arenas", "dashboards", "league", "matchmaking", "storage")
 LINE = 200  # maximum characters of the line with the code that made a snapshot
-OWN_NAME = "Robot League"  # in the first line of each of our packages
 DIGITS = 12  # of a digest, enough to distinguish any two
 
 _BEGIN = (
@@ -56,39 +55,6 @@ def code() -> dict[str, str]:
     return found
 
 
-def displaced_package() -> str:
-    """Return a line about one of our packages in whose place Python imports another's; empty if all are ours.
-
-    A folder `agents` or a file `storage.py` displaces ours if it comes first on the import path. A distribution that
-    has a package of the same name, as the OpenAI Agents SDK has `agents`, overwrites our `__init__.py`.
-    """
-    for package in PACKAGES:
-        spec = find_spec(package)
-        places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
-        found = next((Path(place) for place in places if place), None)
-        if found is None:
-            return f"Robot League's package {package} is missing: install robot-league again"
-        if found != ROOT / package / "__init__.py":
-            return (
-                f"Python imports {package} from {found}, not from Robot League in {ROOT}: type `league` instead of"
-                " `python -m league`, leave that folder out of PYTHONPATH, or rename it"
-            )
-        if OWN_NAME not in found.read_text(errors="replace")[:100]:
-            return (
-                f"another distribution{_owners(package)} has overwritten {found}: two packages named {package} cannot"
-                " share an environment, so install robot-league in one of its own (python -m venv)"
-            )
-    return ""
-
-
-def _owners(package: str) -> str:
-    """Return the distributions that have a top-level package of this name, in parentheses; empty if unknown."""
-    from importlib.metadata import packages_distributions
-
-    others = sorted(set(packages_distributions().get(package, ())) - {"robot-league"})
-    return f" ({', '.join(others)})" if others else ""
-
-
 def made_by() -> str:
     """Return a line, a TOML comment, that identifies the code of this process."""
     state = ", ".join(f"{name} {value}" for name, value in code().items())
@@ -104,7 +70,8 @@ def code_of(settings: str) -> str | None:
 def _digest() -> str:
     found = hashlib.sha256()
     for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
+        files = agents_folder.sources() if package == agents_folder.NAME else (ROOT / package).rglob("*.py")
+        for path in sorted(files):
             found.update(f"{path.relative_to(ROOT).as_posix()}\0".encode())
             found.update(hashlib.sha256(path.read_bytes()).digest())
     return found.hexdigest()[:DIGITS]

@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from dashboards.tables import Column, render
 from league.commands import help
-from league.commands.options import parse, positional
+from league.commands.options import parse, positional, without_arena_flags
+from league.config import flags
 from league.config.schema import ConfigError
 
 NAMES = 26  # columns for an arena's name
@@ -29,12 +30,15 @@ class ArenasOptions:
 
 def arenas(args: list[str]) -> int:
     """List the arenas, or describe one in full."""
+    own, given = without_arena_flags(args)
     options = parse(
-        ArenasOptions, args, "arenas",
+        ArenasOptions, own, "arenas",
         "The arenas in a line each; of one that is named: its teams, what its robots see and do, rewards, scripts,"
-        " timing and settings.",
+        " timing and settings. Flags such as --arena.blue change its settings.",
     )  # fmt: skip
-    print(_listing(options.format) if options.name is None else _all_about(options.name, options.format))
+    if options.name is None and given:
+        raise ConfigError(("name",), "flags such as --arena.blue need an arena's name: league arenas sumo-1v1 ...")
+    print(_listing(options.format) if options.name is None else _all_about(options.name, given, options.format))
     return 0
 
 
@@ -57,10 +61,10 @@ def _entry(row: Mapping[str, Any]) -> str:
     return f"{head}\n{textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent)}"
 
 
-def _all_about(name: str, format: Literal["table", "json"]) -> str:
-    from arenas import settings
+def _all_about(name: str, given: flags.Given, format: Literal["table", "json"]) -> str:
+    from league.config.experiment import change, default
 
-    found = settings(name)
+    found = change(default(name), given).arena
     os.environ["JAX_PLATFORMS"] = "cpu"  # nothing is simulated, and opening a GPU would take seconds
     from league.queries import arena_info
 
@@ -106,7 +110,7 @@ def _all_about(name: str, format: Literal["table", "json"]) -> str:
     blocks += ["Settings, as flags of `league run`; in league.toml they stand under [arena]:"]
     blocks += ["\n".join([title, *entries]) for title, entries in help.groups(found, ("arena",))]
     if sheet.page:
-        blocks += [f"Its page: {sheet.page}, its picture: {sheet.picture}"]
+        blocks += [f"Its page: {sheet.page}{f', its picture: {sheet.picture}' if sheet.picture else ''}"]
     return "\n\n".join(blocks)
 
 

@@ -26,8 +26,8 @@ from league.snapshots import warm_start
 from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState
 from league.system.memory import SHORT
+from league.system.packages.versions import versions
 from league.system.provenance import code
-from league.system.versions import versions
 from storage.database.lock_wait import RetryReporter
 from storage.errors import Unavailable
 from storage.store import Store

@@ -1,6 +1,7 @@
 """`league doctor`: what it finds on this machine, and on machines that lack something."""
 
 import json
+import sys
 from importlib.metadata import PackageNotFoundError, metadata
 
 import pytest
@@ -83,3 +84,19 @@ def test_a_cache_that_cannot_be_written_is_named(monkeypatch, tmp_path):
 def test_a_full_disk_is_named(monkeypatch):
     monkeypatch.setattr(diagnosis, "LEAST_DISK", 1e9)
     assert diagnosis._disk().state == "slow"
+
+
+def test_a_machine_without_torch_is_examined_all_the_same(monkeypatch, capsys):
+    installed = diagnosis.version
+
+    def version(name: str) -> str:
+        if name == "torch":
+            raise PackageNotFoundError(name)
+        return installed(name)
+
+    monkeypatch.setattr(diagnosis, "version", version)
+    monkeypatch.setitem(sys.modules, "torch", None)  # its import raises ModuleNotFoundError
+    assert doctor(["--format", "json"]) == 1
+    found = {each["check"]: each for each in json.loads(capsys.readouterr().out)}
+    assert found["packages"]["advice"] == "pip install torch"
+    assert {"processor", "extras", "disk"} <= set(found)

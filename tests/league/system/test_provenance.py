@@ -8,7 +8,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from shutil import copytree, ignore_patterns
 
 import pytest
 
@@ -155,25 +154,3 @@ def test_the_code_is_known_by_the_digest_of_its_sources_and_by_its_commit():
     if (ROOT / ".git").exists():
         assert len(found["commit"]) == provenance.DIGITS
     assert provenance.code_of('seed = 1\nname = "# Made by"\n') is None
-
-
-def test_a_folder_of_our_names_is_named_before_anything_is_imported_from_it(tmp_path):
-    (tmp_path / "agents").mkdir()
-    (tmp_path / "agents" / "__init__.py").write_text("raise SystemExit('imported')")
-    done = subprocess.run(
-        [sys.executable, "-m", "league", "--version"], cwd=tmp_path, capture_output=True, text=True, env=UNSAFE
-    )
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert done.stderr.startswith(f"league: Python imports agents from {tmp_path / 'agents'}")
-
-
-def test_a_distribution_that_overwrote_a_package_of_ours_is_named(tmp_path):
-    for package in provenance.PACKAGES:
-        copytree(provenance.ROOT / package, tmp_path / package, ignore=ignore_patterns("__pycache__", "trained"))
-    (tmp_path / "agents" / "__init__.py").write_text('"""An SDK for other agents."""\n')
-    done = subprocess.run(
-        [sys.executable, "-m", "league", "--version"], cwd=tmp_path, capture_output=True, text=True, env=UNSAFE
-    )
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert "another distribution" in done.stderr
-    assert str(tmp_path / "agents" / "__init__.py") in done.stderr

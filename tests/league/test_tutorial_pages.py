@@ -1,0 +1,129 @@
+"""The commands and files of docs/hour.md and docs/exploiters.md, in their order, with less training."""
+
+import re
+import runpy
+import shlex
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.arenas.robots.bot import mjcf
+from tests.league.conftest import ROOT, call, said
+
+STEP = re.compile(r"<!-- tutorial(?:: (\S+))? -->\n```(?:bash|python|toml)\n(.*?)```", re.DOTALL)
+SHORTER = {
+    "run": ("--training.worlds", "8", "--rating.worlds", "8", "--steps", "1024", "--budget.rating_time", "0s"),
+    "exploit": ("--budget", "1024", "--episodes", "16"),
+    "rate": ("--episodes", "8"), "play": ("--episodes", "8"),
+}  # fmt: skip
+SMALLER = {
+    "DECISIONS = 60_000": "DECISIONS = 256",
+    "num_envs=64": "num_envs=8",
+    "n_steps=64, batch_size=1024": "n_steps=16",
+}
+
+
+def steps(page: str) -> Iterator[tuple[str, str | list[str]]]:
+    """Yield the files of a page with their text, and its commands as words, under the name of their program."""
+    for file, text in STEP.findall((ROOT / "docs" / page).read_text("utf-8")):
+        if file:
+            yield file, text
+            continue
+        for line in text.splitlines():
+            program, *words = shlex.split(line, comments=True)
+            yield program, words
+
+
+def robot() -> str:
+    """A quadruped of twelve joints, as a Go1 has."""
+    roll = r'<joint name="\1_roll" axis="1 0 0" range="-.8 .8" actuatorfrcrange="-20 20"/>\g<0>'
+    return re.sub(r'<joint name="(\w\w)_hip"', roll, mjcf())
+
+
+def write_policy(path: Path) -> None:
+    """Write a policy of 48 observations and 12 actions."""
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(torch.nn.Linear(48, 16), torch.nn.ELU(), torch.nn.Linear(16, 12))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        axes = {"obs": {0: "worlds"}, "actions": {0: "worlds"}}
+        torch.onnx.export(
+            network, (torch.zeros(1, 48),), str(path), input_names=["obs"], output_names=["actions"],
+            dynamic_axes=axes, dynamo=False,
+        )  # fmt: skip
+
+
+def shorter(words: list[str]) -> list[str]:
+    """A command of the page with less to do."""
+    for option in ("--for", "--budget", "--budget.steps", "--training.worlds", "--episodes"):
+        if option in words:
+            del words[words.index(option) : words.index(option) + 2]
+    return [*words, *SHORTER.get(words[0], ())]
+
+
+def league(words: list[str], capsys: pytest.CaptureFixture[str], folder: Path) -> str:
+    """Run a command of a page; return its output."""
+    if words[0] == "watch":  # draws a film, which has tests of its own
+        return ""
+    if words[0] == "run":  # starts processes
+        done = call(*shorter(words), cwd=folder)
+        assert done.returncode == 0, (words, done.stderr)
+        return done.stdout
+    code, out, err = said(capsys, *shorter(words))
+    assert code == 0, (words, out, err)
+    return out
+
+
+def train(file: str) -> None:
+    """Run the script of a page with less training."""
+    code = Path(file).read_text()
+    for long, short in SMALLER.items():
+        assert long in code
+        code = code.replace(long, short)
+    Path(file).write_text(code)
+    runpy.run_path(file, run_name="__main__")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """A folder to work in."""
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")  # the commands set it for their own processes
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)  # four programs of matches and learning, each compiled anew
+def test_every_step_of_the_hour_runs_in_its_order(folder, capsys):
+    out = ""
+    for name, given in steps("hour.md"):
+        match name, given:
+            case "mkdir", _:
+                (folder / "my").mkdir()
+                (folder / "my" / "go1.xml").write_text(robot())
+                write_policy(folder / "my" / "policy.onnx")
+            case "league", ["robot", *_]:  # the stand-in as a file of one's own
+                assert said(capsys, "robot", "my/go1.xml")[0] in (0, 1), "it may fall"
+            case "league", list(words):
+                out += league(words, capsys, folder)
+            case "python", [file]:
+                train(file)
+            case _, str(text):
+                (folder / name).write_text(text)
+    assert out.count("ok  ") == 25
+    assert re.search(r"ppo against guest: \d+ won", out)
+
+
+@pytest.mark.slow
+def test_every_step_with_exploiters_runs_in_its_order(folder, capsys):
+    out = ""
+    for name, given in steps("exploiters.md"):
+        if isinstance(given, list):
+            out += league(given, capsys, folder)
+        else:
+            (folder / name).write_text(given)
+    assert out.count("Exploitability of blue@") == 3
+    assert "blue-exploiter" in out
