@@ -23,6 +23,7 @@ from arenas.robots.robot import Body, Robot, Script
 from arenas.rosters import check_rosters
 from arenas.scene.privileged import PrivilegedState
 from arenas.scene.props import Prop
+from arenas.scene.pushes import Pushes
 from arenas.scene.scene import Scene, build
 from arenas.state import AgentSpec, TeamSpec, Verdict
 
@@ -31,7 +32,7 @@ class Game(ABC):
     """A scene with teams, and the hooks of the game: all of an arena except `reset` and `step`.
 
     A game implements `observation_size`, `place`, `observe` and `judge`, and optionally `decide`, `alive`, `randomise`,
-    `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass can set
+    `design`, `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass can set
     the attributes that they need after it.
     """
 
@@ -70,9 +71,10 @@ class Game(ABC):
         settings = {**rules, "robot files": identities} if identities else rules
         self.config_hash = _hash(settings, timing, self.scene.xml)
         buffers = (solver or Solver()).with_buffers(options.get("contacts"), options.get("rows"))
+        self._pushes = Pushes(self.scene.model, self.robots)
         self.engine: Engine = make_engine(
-            options.get("engine", "auto"), self.scene.model, derived, worlds=options.get("worlds", 1),
-            buffers=buffers, threads=options.get("threads", 0),
+            options.get("engine", "auto"), self.scene.model, derived, self._pushes.bodies,
+            worlds=options.get("worlds", 1), buffers=buffers, threads=options.get("threads", 0),
         )  # fmt: skip
         self._rosters = {team: tuple(f"{team}/{i}" for i in range(len(rs))) for team, rs in robots.items()}
         self.law = _compose_laws(self.scene, self.robots)
@@ -133,6 +135,18 @@ class Game(ABC):
         """
         return {}
 
+    def design(self, physics: Physics, game: Any) -> tuple[Array, Array, dict[str, Array]] | None:
+        """Return the start of the episode as the agents' first decisions set it: qpos, qvel and model fields.
+
+        It is asked after `decide`, and counts in the first decision alone, before physics moves. The fields are those
+        that `randomise` draws, or some of them; others stay as drawn. None: agents set nothing, which costs nothing.
+        """
+        return None
+
+    def describe_design(self, actions: Mapping[str, np.ndarray]) -> str:
+        """Say in a few words what the agents' first actions (act,) set, for recordings; empty if they set nothing."""
+        return ""
+
     def exchange(self, qpos: Array, qvel: Array, game: Any) -> tuple[Array, Array, Any]:
         """Return the same situation with two exchangeable teams in each other's places.
 
@@ -192,7 +206,7 @@ class Game(ABC):
     def body(self, agent: str, physics: Physics, actions: Mapping[str, Array]) -> Body:
         """Return an agent's robot as it senses itself."""
         at, (qpos, qvel) = self.scene.agents[agent], (physics.qpos, physics.qvel)
-        base = qpos[at.qpos : at.qpos + 7], qvel[at.qvel : at.qvel + 6]
+        base = at.pose(qpos), at.velocity(qvel)
         return Body(*base, qpos[at.joint_qpos], qvel[at.joint_qvel], actions[agent])
 
     @final
@@ -204,12 +218,17 @@ class Game(ABC):
         return command
 
     @final
+    def push(self, actions: Mapping[str, Array]) -> Array | None:
+        """Add up the forces and torques (pushed, 6) of all agents that push bodies; None if no agent does."""
+        return self._pushes.total(actions)
+
+    @final
     def fallen(self, physics: Physics) -> Array:
         """Return (agents,) bool: the agents that have fallen by the rule of their robot. Agents without a body cannot
         fall.
         """
         rules = [
-            self.robots[agent].fallen(physics.qpos[at.qpos : at.qpos + 7]) if at else jnp.zeros((), bool)
+            self.robots[agent].fallen(at.pose(physics.qpos)) if at else jnp.zeros((), bool)
             for agent, at in ((agent, self.scene.agents.get(agent)) for agent in self.robots)
         ]
         return jnp.stack(rules)

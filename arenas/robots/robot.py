@@ -36,6 +36,13 @@ class Body(NamedTuple):
     action: Array  # (action_size,) the latest action
 
 
+class Push(NamedTuple):
+    """Forces from outside on bodies of any team, by which a robot acts, with or without a body of its own."""
+
+    bodies: tuple[str, ...]  # as the scene names them, such as blue/0/torso
+    wrench: Callable[[Array], Array]  # action (action_size,) -> (bodies, 6) N in the world, then N·m
+
+
 def identity_command(action: Array) -> Array:
     """Return the action as the command, for robots whose actuators take it unchanged."""
     return action
@@ -79,6 +86,7 @@ class Robot:
     limp: tuple[float, ...] = ()  # (action_size,) the action of a robot that is out of the game; empty: all zero
     command: Callable[[Array], Array] = identity_command  # action (action_size,) -> command (actuators,)
     law: JointLaw | None = None  # applied before every physics substep; None is the identity
+    push: Push | None = None  # its forces on bodies, held for a decision; None: it pushes nothing from outside
     proprioception: Callable[[Body], Array] | None = None  # sensing of itself, (n,)
     fallen: Callable[[Array], Array] = never_falls  # base pose (7,) -> () bool
     scripts: Mapping[str, Script] = field(default_factory=dict)  # scripts that need no game: idle, random, ...
