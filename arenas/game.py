@@ -32,8 +32,8 @@ class Game(ABC):
     """A scene with teams, and the hooks of the game: all of an arena except `reset` and `step`.
 
     A game implements `observation_size`, `place`, `observe` and `judge`, and optionally `decide`, `alive`, `randomise`,
-    `design`, `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass can set
-    the attributes that they need after it.
+    `design`, `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass
+    can set the attributes that they need after it.
     """
 
     exchangeable: bool = False

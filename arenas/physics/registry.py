@@ -65,9 +65,9 @@ def make_engine(
 ) -> Engine:
     """Make an engine by name; it is always `none` for a model in which nothing can move.
 
-    `pushed` are ids of bodies that outer forces push. `buffers` has the sizes of Warp's buffers, `threads` are the C engine's (0: all). Raises EngineError, which names
-    the two geoms, if geoms can meet that the engine cannot collide, and for anything else in the model that the engine
-    refuses.
+    `pushed` are ids of bodies that outer forces push. `buffers` has the sizes of Warp's buffers, `threads` are the C
+    engine's (0: all). Raises EngineError, which names the two geoms, if geoms can meet that the engine cannot collide,
+    and for anything else in the model that the engine refuses.
     """
     resolved = resolve_engine(name)
     if model.nv == 0:

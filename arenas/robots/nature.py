@@ -57,4 +57,4 @@ def designer(bounds: Mapping[str, tuple[float, float]], scripts: Mapping[str, Sc
 def designed(bounds: Mapping[str, tuple[float, float]], action: Array) -> Array:
     """Return the numbers (bounds,) that an action (..., bounds) of a designer sets, in the order of the bounds."""
     low, high = np.array(list(bounds.values()), np.float32).reshape(-1, 2).T
-    return low + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+    return jnp.asarray(low) + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)

@@ -29,6 +29,11 @@ class Indices:
     own_qvel: np.ndarray  # all its velocities
     height: float | None = None  # m, of a planar base whose z is 0: it moves in the world's x and z; None: a free base
 
+    @property
+    def planar(self) -> bool:
+        """Return whether the base moves in the world's x and z alone."""
+        return self.height is not None
+
     def pose(self, qpos: Array) -> Array:
         """Return the base's pose (7,) in the world from qpos (nq,): x, y, z in metres, quaternion w first."""
         if self.height is None:
