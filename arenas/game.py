@@ -17,10 +17,11 @@ from jax import Array
 from arenas.arena_settings import EngineOptions, Solver, Timing
 from arenas.description import Legend, Part, total_size
 from arenas.errors import ArenaError
-from arenas.physics.engine import Engine, Law, Physics
+from arenas.physics.engine import Engine, Physics
 from arenas.physics.registry import make_engine
 from arenas.robots.robot import Body, Robot, Script
 from arenas.rosters import check_rosters
+from arenas.scene.laws import compose_laws
 from arenas.scene.privileged import PrivilegedState
 from arenas.scene.props import Prop
 from arenas.scene.pushes import Pushes
@@ -77,7 +78,7 @@ class Game(ABC):
             worlds=options.get("worlds", 1), buffers=buffers, threads=options.get("threads", 0),
         )  # fmt: skip
         self._rosters = {team: tuple(f"{team}/{i}" for i in range(len(rs))) for team, rs in robots.items()}
-        self.law = _compose_laws(self.scene, self.robots)
+        self.law = compose_laws(self.scene, self.robots)
 
     @cached_property
     def teams(self) -> tuple[TeamSpec, ...]:
@@ -142,10 +143,6 @@ class Game(ABC):
         that `randomise` draws, or some of them; others stay as drawn. None: agents set nothing, which costs nothing.
         """
         return None
-
-    def describe_design(self, actions: Mapping[str, np.ndarray]) -> str:
-        """Say in a few words what the agents' first actions (act,) set, for recordings; empty if they set nothing."""
-        return ""
 
     def exchange(self, qpos: Array, qvel: Array, game: Any) -> tuple[Array, Array, Any]:
         """Return the same situation with two exchangeable teams in each other's places.
@@ -233,6 +230,16 @@ class Game(ABC):
         ]
         return jnp.stack(rules)
 
+    @final
+    def describe_design(self, actions: Mapping[str, np.ndarray]) -> str:
+        """Say what the agents' first actions (act,) set, for recordings; empty if no agent sets anything."""
+        return "; ".join(
+            f"{agent} sets {', '.join(f'{name} {x:.3g}' for name, x in zip(robot.sets, found, strict=True))}"
+            for agent, robot in self.robots.items()
+            if robot.sets
+            for found in [np.asarray(robot.designed(jnp.asarray(actions[agent])))]
+        )
+
     @cached_property
     def privileged_size(self) -> int:
         """The size of the privileged state; 0 if there is none."""
@@ -286,20 +293,3 @@ def _hash(rules: Mapping[str, Any], timing: Timing, xml: str) -> str:
     """Return sixteen hexadecimal digits that change with the rules, the timing, the bodies or MuJoCo's version."""
     text = json.dumps([dict(rules), vars(timing), xml, mujoco.__version__], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _compose_laws(scene: Scene, robots: Mapping[str, Robot]) -> Law | None:
-    """Combine the robots' laws, each over its own joints and actuators, into one. None if no robot has a law."""
-    laws = [(scene.agents[agent], robot.law) for agent, robot in robots.items() if robot.law]
-    if not laws:
-        return None
-    driven = np.concatenate([at.ctrl for at, _ in laws])
-    plain = np.setdiff1d(np.arange(scene.model.nu), driven)
-    place = np.argsort(np.concatenate([driven, plain]))
-
-    def law(qpos: Any, qvel: Any, command: Any) -> Any:
-        ctrl = [own(qpos[..., at.joint_qpos], qvel[..., at.joint_qvel], command[..., at.ctrl]) for at, own in laws]
-        arrays = command.__array_namespace__()  # jax.numpy, or numpy in the C engine
-        return arrays.concat([*ctrl, command[..., plain]], axis=-1)[..., place]
-
-    return law

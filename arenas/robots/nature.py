@@ -40,11 +40,12 @@ def disturbance(bodies: Sequence[str], newtons: float, axes: str = AXES, scripts
 
 
 def designer(bounds: Mapping[str, tuple[float, float]], scripts: Mapping[str, Script] = {}) -> Robot:
-    """Make an agent whose first action sets numbers of the world, each within its bounds; `designed` reads them."""
+    """Make an agent whose first action sets numbers of the world, each within its bounds (`Robot.designed`)."""
     size = len(bounds)
     return Robot(
         kind="designer",
         action_size=size,
+        sets=dict(bounds),
         scripts={"idle": idle_script(size), "random": random_script(size), **scripts},
         action_parts=tuple(
             Part(name, 1, "", f"in the first decision: -1 sets {low:g}, 1 sets {high:g}, clipped to ±1")
@@ -52,9 +53,3 @@ def designer(bounds: Mapping[str, tuple[float, float]], scripts: Mapping[str, Sc
         ),
         identity=f"sets {dict(bounds)!r}",
     )
-
-
-def designed(bounds: Mapping[str, tuple[float, float]], action: Array) -> Array:
-    """Return the numbers (bounds,) that an action (..., bounds) of a designer sets, in the order of the bounds."""
-    low, high = np.array(list(bounds.values()), np.float32).reshape(-1, 2).T
-    return jnp.asarray(low) + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from arenas.description import Part
@@ -87,6 +88,7 @@ class Robot:
     command: Callable[[Array], Array] = identity_command  # action (action_size,) -> command (actuators,)
     law: JointLaw | None = None  # applied before every physics substep; None is the identity
     push: Push | None = None  # its forces on bodies, held for a decision; None: it pushes nothing from outside
+    sets: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that its first action sets: bounds
     proprioception: Callable[[Body], Array] | None = None  # sensing of itself, (n,)
     fallen: Callable[[Array], Array] = never_falls  # base pose (7,) -> () bool
     scripts: Mapping[str, Script] = field(default_factory=dict)  # scripts that need no game: idle, random, ...
@@ -120,6 +122,11 @@ class Robot:
         """The description of its proprioception; a single unnamed part if its numbers have no names."""
         nameless = (Part("proprioception", self.proprioception_size),) if self.proprioception_size else ()
         return self.proprioception_parts or nameless
+
+    def designed(self, action: Array) -> Array:
+        """Return the numbers (sets,) that an action (..., sets) sets: -1 the lowest, 1 the highest, clipped beyond."""
+        low, high = np.array(list(self.sets.values()), np.float32).reshape(-1, 2).T
+        return jnp.asarray(low) + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
 
     def observe_self(self, body: Body) -> Array:
         """Return its proprioception (proprioception_size,); (0,) if it has none."""

@@ -134,3 +134,16 @@ def _too_many(rest: Sequence[str], places: Sequence[Field], command: str) -> Con
 def spelt(args: Sequence[str]) -> list[str]:
     """Return the arguments with the short form -o replaced by the option that it stands for."""
     return ["--output" if word == "-o" else word for word in args]
+
+
+def without_arena_flags(args: Sequence[str]) -> tuple[list[str], flags.Given]:
+    """Return the arguments without the flags of the arena's settings, and these flags."""
+    own, given, words = [], {}, list(args)
+    while words:
+        word = words.pop(0)
+        if not word.startswith("--arena."):
+            own.append(word)
+            continue
+        name, equals, text = word[2:].partition("=")
+        given[tuple(name.replace("-", "_").split("."))] = text if equals or not words else words.pop(0)
+    return own, given

@@ -26,7 +26,7 @@ from arenas.games.disturbance.settings import BASE, FRICTION, NATURE, Disturbanc
 from arenas.games.sumo.walk import WALKER, GameState
 from arenas.games.walk.match import RobotWalk, walker_of
 from arenas.physics.engine import Physics
-from arenas.robots.nature import designed, designer, disturbance
+from arenas.robots.nature import designer, disturbance
 from arenas.robots.robot import Robot, Script
 from arenas.scene.colours import TEAM_COLOURS
 from arenas.state import Verdict
@@ -109,7 +109,7 @@ class Disturbance(RobotWalk):
         if pusher := self._nature.get("disturbance"):
             effort = jnp.mean(jnp.clip(actions[pusher], -1.0, 1.0) ** 2)
         if author := self._nature.get("designer"):
-            factors = jnp.where(game.designing, designed(self.bounds, actions[author]), factors)
+            factors = jnp.where(game.designing, self.robots[author].designed(actions[author]), factors)
         return DisturbedState(super().decide(game.walk, actions), factors, jnp.zeros((), bool), effort)
 
     def design(self, physics: Physics, game: DisturbedState) -> tuple[Array, Array, dict[str, Array]] | None:
@@ -120,13 +120,6 @@ class Disturbance(RobotWalk):
         for factor, value in zip(self._factors, game.factors, strict=True):
             fields |= {name: factor.applied(fields[name], value) for name in factor.fields}
         return physics.qpos, physics.qvel, {name: fields[name] for f in self._factors for name in f.fields}
-
-    def describe_design(self, actions: Mapping[str, np.ndarray]) -> str:
-        """Name the factors that nature set."""
-        if (author := self._nature.get("designer")) is None:
-            return ""
-        values = np.asarray(designed(self.bounds, jnp.asarray(actions[author])))
-        return ", ".join(f"{name} ×{value:.3g}" for name, value in zip(self.bounds, values, strict=True))
 
     def observe(self, physics: Physics, game: DisturbedState, actions: dict[str, Array]) -> dict[str, Array]:  # type: ignore[override]
         """Return the walk's observation, for nature with the factors."""

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 from arenas.arena_settings import EngineName
-from league.commands.options import parse, positional
+from league.commands.options import parse, positional, without_arena_flags
 from league.commands.progress_bar import report_kernels
-from league.config import flags
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ def check(args: list[str]) -> int:
     A fault of the arena's own code, which may raise, exit or lack a hook, is reported as a failed promise with the line
     in its file. An unknown name is bad input.
     """
-    own, given = _without_arena_flags(args)
+    own, given = without_arena_flags(args)
     options = parse(
         CheckOptions, own, "check",
         "Examine an arena against the contract that the league relies on. Flags such as --arena.blue change its"
@@ -42,16 +41,3 @@ def check(args: list[str]) -> int:
     for check, ok, detail in found:
         print(f"{'ok    ' if ok else 'FAILED'}  {check}{': ' + detail if detail else ''}")
     return 0 if all(ok for _, ok, _ in found) else 1
-
-
-def _without_arena_flags(args: list[str]) -> tuple[list[str], flags.Given]:
-    """Return the arguments without the flags of the arena's settings, and these flags."""
-    own, given, words = [], {}, list(args)
-    while words:
-        word = words.pop(0)
-        if not word.startswith("--arena."):
-            own.append(word)
-            continue
-        name, equals, text = word[2:].partition("=")
-        given[tuple(name.replace("-", "_").split("."))] = text if equals or not words else words.pop(0)
-    return own, given

@@ -151,7 +151,7 @@ def test_a_heavier_foot_changes_the_walk(both):
 
 def test_what_was_set_is_told_to_recordings(both, hopper):
     actions = {agent.name: np.zeros(agent.action_size) for agent in both.agents} | {"nature/1": np.array([-1.0, 9.0])}
-    assert both.describe_design(actions) == "friction ×0.5, foot ×3"
+    assert both.describe_design(actions) == "nature/1 sets friction 0.5, foot 3"
     assert hopper.describe_design(actions) == ""
 
 
