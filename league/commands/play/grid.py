@@ -13,9 +13,9 @@ WHAT = """Play snapshots over a grid of what an arena's designer may set, such a
 and worst cell of score and return. Flags such as --arena.design change the arena; nothing is kept."""
 MOST = 2**17
 COLUMNS = (
-    Column("snapshot", no_wrap=True), Column("score", decimals=3), Column("worst_tenth", "worst tenth", 3),
-    Column("worst", decimals=3), Column("where", "worst cell"), Column("return", decimals=2),
-    Column("return_worst_tenth", "worst tenth", 2), Column("return_worst", "worst", 2), "voids",
+    Column("snapshot", no_wrap=True), Column("score", decimals=3), Column("score_tenth", "worst tenth", 3),
+    Column("score_worst", "worst", 3), Column("return", decimals=2), Column("return_tenth", "worst tenth", 2),
+    Column("return_worst", "worst", 2), Column("where", "worst cell"), "voids",
 )  # fmt: skip
 
 
@@ -71,8 +71,9 @@ def _row(name: str, found: Any) -> dict[str, Any]:
     score, total = summarise(found.scores, found.values), summarise(found.returns, found.values)
     where = ", ".join(f"{n} {x:.3g}" for n, x in zip(found.names, total.where, strict=True))
     return {
-        "snapshot": name, "score": score.mean, "worst_tenth": score.tenth, "worst": score.least, "where": where,
-        "return": total.mean, "return_worst_tenth": total.tenth, "return_worst": total.least, "voids": found.voids,
+        "snapshot": name, "score": score.mean, "score_tenth": score.tenth, "score_worst": score.least,
+        "return": total.mean, "return_tenth": total.tenth, "return_worst": total.least, "where": where,
+        "voids": found.voids,
     }  # fmt: skip
 
 
