@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 MODULES = (
     "arenas.games.sumo",
     "arenas.games.walk",
+    "arenas.games.disturbance",
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",

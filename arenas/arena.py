@@ -83,11 +83,10 @@ class Arena(Game):
             carry: tuple[Physics, Any, Verdict, Array, Array, Array], result: StepResult | None
         ) -> tuple[Any, Frames]:
             before, game, verdict, void, at_fault, causes = carry
-            command = (
-                self.command(self._executed_actions(actions, self.alive(before, game)))
-                if self._agents_can_leave
-                else frame_command
-            )
+            command = frame_command
+            if self._agents_can_leave:
+                executed = self._executed_actions(actions, self.alive(before, game))
+                command, before = self.command(executed), before._replace(push=self.push(executed))
             physics = self.engine.step(before, command, self.timing.substeps, self.law, result)
             decided = verdict.terminated | verdict.truncated | void
             game_after, news = self.judge(before, physics, game)
@@ -107,10 +106,9 @@ class Arena(Game):
         game = jax.tree.map(
             lambda old, new: jnp.where(state.done, old, new), state.game, self.decide(state.game, actions)
         )
-        carry = (state.physics, game, first, state.void, state.at_fault, state.causes)
-        carry, frames = jax.lax.scan(
-            control_step, carry, self._step_many(state.physics, frame_command), self.timing.hold
-        )
+        pushed = self._designed(state, game)._replace(push=self.push(actions))
+        carry = (pushed, game, first, state.void, state.at_fault, state.causes)
+        carry, frames = jax.lax.scan(control_step, carry, self._step_many(pushed, frame_command), self.timing.hold)
         physics, game, verdict, void, at_fault, causes = carry
         alive, observations = self._alive_and_observations(physics, game, actions)
         return State(physics, game, observations, actions, verdict, void, at_fault, alive, causes), frames
@@ -154,6 +152,17 @@ class Arena(Game):
         verdict = undecided_verdict(jax.eval_shape(self.judge, bare, bare, game)[1])
         teams = jnp.zeros(len(self.teams), bool)
         return State(physics, game, observations, actions, verdict, jnp.zeros((), bool), teams, alive, no_cause())
+
+    def _designed(self, state: State, game: Any) -> Physics:
+        """Return the physics at the start of a decision, which in the first one are those of `design`."""
+        design = self.design(state.physics, game)
+        if design is None:
+            return state.physics
+        qpos, qvel, fields = design
+        if unknown := set(fields) - set(state.physics.model):
+            raise ArenaError(f"design sets {', '.join(sorted(unknown))}: return the model's values in randomise too")
+        first = (state.physics.time == 0.0) & ~state.done
+        return self.engine.place(state.physics, qpos, qvel, first, fields)
 
     def _step_many(self, physics: Physics, command: Array) -> StepResult | None:
         """Return all control steps of a decision, stacked, if the engine can compute them before the game judges the

@@ -17,12 +17,14 @@ from jax import Array
 from arenas.arena_settings import EngineOptions, Solver, Timing
 from arenas.description import Legend, Part, total_size
 from arenas.errors import ArenaError
-from arenas.physics.engine import Engine, Law, Physics
+from arenas.physics.engine import Engine, Physics
 from arenas.physics.registry import make_engine
 from arenas.robots.robot import Body, Robot, Script
 from arenas.rosters import check_rosters
+from arenas.scene.laws import compose_laws
 from arenas.scene.privileged import PrivilegedState
 from arenas.scene.props import Prop
+from arenas.scene.pushes import Pushes
 from arenas.scene.scene import Scene, build
 from arenas.state import AgentSpec, TeamSpec, Verdict
 
@@ -31,8 +33,8 @@ class Game(ABC):
     """A scene with teams, and the hooks of the game: all of an arena except `reset` and `step`.
 
     A game implements `observation_size`, `place`, `observe` and `judge`, and optionally `decide`, `alive`, `randomise`,
-    `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass can set
-    the attributes that they need after it.
+    `design`, `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass
+    can set the attributes that they need after it.
     """
 
     exchangeable: bool = False
@@ -70,12 +72,13 @@ class Game(ABC):
         settings = {**rules, "robot files": identities} if identities else rules
         self.config_hash = _hash(settings, timing, self.scene.xml)
         buffers = (solver or Solver()).with_buffers(options.get("contacts"), options.get("rows"))
+        self._pushes = Pushes(self.scene.model, self.robots)
         self.engine: Engine = make_engine(
-            options.get("engine", "auto"), self.scene.model, derived, worlds=options.get("worlds", 1),
-            buffers=buffers, threads=options.get("threads", 0),
+            options.get("engine", "auto"), self.scene.model, derived, self._pushes.bodies,
+            worlds=options.get("worlds", 1), buffers=buffers, threads=options.get("threads", 0),
         )  # fmt: skip
         self._rosters = {team: tuple(f"{team}/{i}" for i in range(len(rs))) for team, rs in robots.items()}
-        self.law = _compose_laws(self.scene, self.robots)
+        self.law = compose_laws(self.scene, self.robots)
 
     @cached_property
     def teams(self) -> tuple[TeamSpec, ...]:
@@ -132,6 +135,14 @@ class Game(ABC):
         Only fields in `arenas.physics.engine.VARIABLE` may differ between worlds.
         """
         return {}
+
+    def design(self, physics: Physics, game: Any) -> tuple[Array, Array, dict[str, Array]] | None:
+        """Return the start of the episode as the agents' first decisions set it: qpos, qvel and model fields.
+
+        It is asked after `decide`, and counts in the first decision alone, before physics moves. The fields are those
+        that `randomise` draws, or some of them; others stay as drawn. None: agents set nothing, which costs nothing.
+        """
+        return None
 
     def exchange(self, qpos: Array, qvel: Array, game: Any) -> tuple[Array, Array, Any]:
         """Return the same situation with two exchangeable teams in each other's places.
@@ -192,7 +203,7 @@ class Game(ABC):
     def body(self, agent: str, physics: Physics, actions: Mapping[str, Array]) -> Body:
         """Return an agent's robot as it senses itself."""
         at, (qpos, qvel) = self.scene.agents[agent], (physics.qpos, physics.qvel)
-        base = qpos[at.qpos : at.qpos + 7], qvel[at.qvel : at.qvel + 6]
+        base = at.pose(qpos), at.velocity(qvel)
         return Body(*base, qpos[at.joint_qpos], qvel[at.joint_qvel], actions[agent])
 
     @final
@@ -204,15 +215,30 @@ class Game(ABC):
         return command
 
     @final
+    def push(self, actions: Mapping[str, Array]) -> Array | None:
+        """Add up the forces and torques (pushed, 6) of all agents that push bodies; None if no agent does."""
+        return self._pushes.total(actions)
+
+    @final
     def fallen(self, physics: Physics) -> Array:
         """Return (agents,) bool: the agents that have fallen by the rule of their robot. Agents without a body cannot
         fall.
         """
         rules = [
-            self.robots[agent].fallen(physics.qpos[at.qpos : at.qpos + 7]) if at else jnp.zeros((), bool)
+            self.robots[agent].fallen(at.pose(physics.qpos)) if at else jnp.zeros((), bool)
             for agent, at in ((agent, self.scene.agents.get(agent)) for agent in self.robots)
         ]
         return jnp.stack(rules)
+
+    @final
+    def describe_design(self, actions: Mapping[str, np.ndarray]) -> str:
+        """Say what the agents' first actions (act,) set, for recordings; empty if no agent sets anything."""
+        return "; ".join(
+            f"{agent} sets {', '.join(f'{name} {x:.3g}' for name, x in zip(robot.sets, found, strict=True))}"
+            for agent, robot in self.robots.items()
+            if robot.sets
+            for found in [np.asarray(robot.designed(jnp.asarray(actions[agent])))]
+        )
 
     @cached_property
     def privileged_size(self) -> int:
@@ -267,20 +293,3 @@ def _hash(rules: Mapping[str, Any], timing: Timing, xml: str) -> str:
     """Return sixteen hexadecimal digits that change with the rules, the timing, the bodies or MuJoCo's version."""
     text = json.dumps([dict(rules), vars(timing), xml, mujoco.__version__], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _compose_laws(scene: Scene, robots: Mapping[str, Robot]) -> Law | None:
-    """Combine the robots' laws, each over its own joints and actuators, into one. None if no robot has a law."""
-    laws = [(scene.agents[agent], robot.law) for agent, robot in robots.items() if robot.law]
-    if not laws:
-        return None
-    driven = np.concatenate([at.ctrl for at, _ in laws])
-    plain = np.setdiff1d(np.arange(scene.model.nu), driven)
-    place = np.argsort(np.concatenate([driven, plain]))
-
-    def law(qpos: Any, qvel: Any, command: Any) -> Any:
-        ctrl = [own(qpos[..., at.joint_qpos], qvel[..., at.joint_qvel], command[..., at.ctrl]) for at, own in laws]
-        arrays = command.__array_namespace__()  # jax.numpy, or numpy in the C engine
-        return arrays.concat([*ctrl, command[..., plain]], axis=-1)[..., place]
-
-    return law

@@ -47,6 +47,7 @@ SHOTS = {
     "sumo-1v1-leatherback": Shot(("pusher", "pusher"), 0, 15.0),
     "anymal-walk": Shot(("seeker",), 2, 16.0),
     "walk": Shot(("seeker",), 2, 12.0),
+    "disturbance": Shot(("seeker", "headwind"), 2, 8.0),
     "block-push-anymal": Shot(("pusher", "pusher"), 2, 8.0),
     "block-push-leatherback": Shot(("pusher", "pusher"), 1, 3.2),
     "galaga-aim-1v1": Shot(("gunner",), 0, 0.2),

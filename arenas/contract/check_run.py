@@ -95,14 +95,15 @@ class CheckRun:
     def stepped_physics(self) -> Physics:
         """Return Physics (RECORDED, WORLDS, hold, ...) of the same play, with one call for each control step."""
         arena = self.arena
-        command = jax.jit(jax.vmap(arena.command))
+        command, push = jax.jit(jax.vmap(arena.command)), jax.jit(jax.vmap(arena.push))
         step = jax.jit(
             jax.vmap(lambda physics, ctrl: arena.engine.step(physics, ctrl, arena.timing.substeps, arena.law))
         )
         physics, found = self.first.physics, []
         for decision in range(RECORDED):
             for _ in range(arena.timing.hold):
-                physics = step(physics, command(self.actions(decision)))
+                actions = self.actions(decision)
+                physics = step(physics._replace(push=push(actions)), command(actions))
                 found.append(jax.device_get(physics._replace(carry=())))
         shape = (RECORDED, arena.timing.hold, WORLDS)
         return jax.tree.map(lambda x: np.moveaxis(x.reshape(*shape, *x.shape[2:]), 1, 2), _stack(found))

@@ -80,8 +80,10 @@ class RobotTrial:
     def _mass(self) -> Finding:
         model = self.model
         total = float(model.body_mass.sum())
-        smallest = min(float(model.dof_M0[at]) for at in range(6, model.nv))  # inertia at a joint, with the motor's own
-        name = model.joint(int(model.dof_jntid[6 + int(np.argmin(model.dof_M0[6:]))])).name.removeprefix(f"{AGENT}/")
+        of_joints = np.flatnonzero(model.dof_bodyid != self.scenes[STEPS[0]].agents[AGENT].base)
+        least = of_joints[np.argmin(model.dof_M0[of_joints])]
+        smallest = float(model.dof_M0[least])  # inertia at a joint, with the motor's own
+        name = model.joint(int(model.dof_jntid[least])).name.removeprefix(f"{AGENT}/")
         detail = f"{total:.4g} kg in {model.nbody - 1} bodies; least inertia at a joint {smallest:.2g} kg·m² ({name})"
         return Finding("mass and inertia", total > 0 and smallest > LIGHTEST, detail)
 
@@ -109,17 +111,18 @@ class RobotTrial:
     def _stand(self, step: float) -> Finding:
         """Let it stand under the zero action."""
         scene = self.scenes[step]
-        data, at = self._data(scene), scene.agents[AGENT].qpos
-        start, fell = data.qpos[at + 2], None
+        data, at = self._data(scene), scene.agents[AGENT]
+        start, fell = float(at.pose(data.qpos)[2]), None
         for _ in range(round(STANDS / step)):
             mujoco.mj_step(scene.model, data)
-            if fell is None and bool(self.robot.fallen(jnp.asarray(data.qpos[at : at + 7]))):
+            if fell is None and bool(self.robot.fallen(jnp.asarray(at.pose(data.qpos)))):
                 fell = data.time
-        x, y = data.qpos[at + 4 : at + 6]
+        pose = np.asarray(at.pose(data.qpos))
+        x, y = pose[4:6]
         tilt = np.degrees(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
         sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
-        drift = float(np.hypot(data.qpos[at], data.qpos[at + 1]))
-        after = f"{start:.3g} m, after {STANDS:g} s {data.qpos[at + 2]:.3g} m, tilt {tilt:.0f}°, drift {drift:.2g} m"
+        drift = float(np.hypot(pose[0], pose[1]))
+        after = f"{start:.3g} m, after {STANDS:g} s {pose[2]:.3g} m, tilt {tilt:.0f}°, drift {drift:.2g} m"
         ends = (
             ""
             if fell is None
@@ -142,7 +145,7 @@ class RobotTrial:
             action = np.zeros(self.robot.action_size)
             action[index] = sign * ACTION
             data = self._data(scene, action)
-            data.qpos[at.qpos + 2] += 10.0
+            data.qpos[at.qpos + (1 if at.planar else 2)] += 10.0
             for _ in range(round(MOVES / STEPS[0])):
                 mujoco.mj_step(model, data)
             ways.append(sign * float(data.qpos[at.joint_qpos[index]] - scene.rest[at.joint_qpos[index]]))
@@ -158,7 +161,7 @@ class RobotTrial:
                 self._act(scene, data, rng.normal(size=self.robot.action_size))
             mujoco.mj_step(scene.model, data)
             self.contacts, self.rows = max(self.contacts, data.ncon), max(self.rows, data.nefc)
-            top = max(top, float(np.abs(data.qvel[at.qvel : at.qvel + 3]).max()))
+            top = max(top, float(np.abs(at.velocity(data.qvel)[:3]).max()))
         sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
         detail = f"at most {self.contacts} contacts, {self.rows} rows; base at most {top:.2g} m/s"
         return Finding("flails without breaking", sound, detail)

@@ -5,7 +5,7 @@ saves and loads a running world exactly. Code here is unbatched; callers batch w
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -56,6 +56,7 @@ class Physics(NamedTuple):
     actuator_force: Array | None = None  # (nu,)
     qacc: Array | None = None  # (nv,)
     model: dict[str, Array] = {}  # noqa: RUF012  (this world's own model fields, of those in VARIABLE)
+    push: Array | None = None  # (pushed, 6) N, N·m: force and torque in the world on the engine's `pushed` bodies
 
     @property
     def unstable(self) -> Array:
@@ -79,11 +80,13 @@ class StepResult(NamedTuple):
 
 
 class Engine(ABC):
-    """Base class of engines. `derived` names the fields beyond (qpos, qvel) that the arena reads."""
+    """Base class of engines. `derived` names the fields beyond (qpos, qvel) that the arena reads; `pushed` are the ids
+    of bodies on which outer forces act at their centres of mass (MuJoCo's `xfrc_applied`). Others cost nothing.
+    """
 
     name: str
 
-    def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...] = ()):
+    def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...] = (), pushed: Sequence[int] = ()):
         unknown = set(derived) - set(DERIVED)
         if unknown:
             raise EngineError(
@@ -91,6 +94,7 @@ class Engine(ABC):
             )
         self.model = model
         self.derived = derived
+        self.pushed = tuple(pushed)
 
     # Engine-specific --------------------------------------------------------------------------------------------------
 
@@ -121,7 +125,10 @@ class Engine(ABC):
         m = self.model
         carry = self._carry(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(m.nv), jnp.zeros(m.na))
         own = self._fields(model or {})
-        return self._derive(Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), no_cause(), carry, model=own))
+        push = jnp.zeros((len(self.pushed), 6)) if self.pushed else None
+        return self._derive(
+            Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), no_cause(), carry, model=own, push=push)
+        )
 
     def prepare(self) -> Callable[[], None]:
         """Start slow preparations of the first step in threads, and return a function that waits for them.
@@ -169,10 +176,13 @@ class Engine(ABC):
     def place(
         self, physics: Physics, qpos: Array, qvel: Array, where: Array, model: Mapping[str, Array] | None = None
     ) -> Physics:
-        """Put the world at (qpos, qvel), with these model fields, where `where` () bool; elsewhere nothing changes."""
+        """Put the world at (qpos, qvel), with these model fields, where `where` () bool; elsewhere nothing changes.
+
+        Nothing pushes it. Fields that `model` does not name stay.
+        """
         qpos = jnp.where(where, qpos, physics.qpos)
         qvel = jnp.where(where, qvel, physics.qvel)
-        own = self._fields(physics.model if model is None else model)
+        own = physics.model | self._fields({} if model is None else model)
         return self._derive(
             physics._replace(
                 qpos=qpos,
@@ -182,6 +192,7 @@ class Engine(ABC):
                 causes=jnp.where(where, no_cause(), physics.causes),
                 carry=self._place(physics.carry, qpos, qvel, where),
                 model={name: jnp.where(where, new, physics.model[name]) for name, new in own.items()},
+                push=None if physics.push is None else jnp.where(where, 0.0, physics.push),
             )
         )
 
@@ -192,16 +203,22 @@ class Engine(ABC):
         warmstart, act = self._warm(physics.carry)
         neutral = {name: getattr(physics, name) for name in ("qpos", "qvel", "ctrl", "time", "causes")}
         own = {f"model/{name}": value for name, value in physics.model.items()}
-        return neutral | {"warmstart": warmstart, "act": act} | own
+        pushes = {} if physics.push is None else {"push": physics.push}
+        return neutral | {"warmstart": warmstart, "act": act} | own | pushes
 
     def load(self, saved: Mapping[str, Array]) -> Physics:
         """Restore the world of `save`. On the same engine it continues bit for bit as the saved one."""
         qpos, qvel = saved["qpos"], saved["qvel"]
         carry = self._carry(qpos, qvel, saved["ctrl"], saved["warmstart"], saved["act"])
         own = {name.removeprefix("model/"): value for name, value in saved.items() if name.startswith("model/")}
-        return self._derive(
-            Physics(qpos, qvel, saved["ctrl"], saved["time"], saved["causes"], carry, model=self._fields(own))
-        )
+        neutral = (qpos, qvel, saved["ctrl"], saved["time"], saved["causes"], carry)
+        return self._derive(Physics(*neutral, model=self._fields(own), push=saved.get("push")))
+
+    def _wrenches(self, push: Array | None) -> dict[str, Array]:
+        """Return MuJoCo's `xfrc_applied` (nbody, 6) with these pushes (pushed, 6), by its name; {} without any."""
+        if push is None:
+            return {}
+        return {"xfrc_applied": jnp.zeros((self.model.nbody, 6)).at[jnp.array(self.pushed)].set(push)}
 
     def _fields(self, model: Mapping[str, Array]) -> dict[str, Array]:
         """Check a world's own model fields and add those that follow from them. Raises EngineError for wrong names or

@@ -1,7 +1,7 @@
 """MuJoCo XLA: the engine of accelerators, in JAX or in Warp kernels."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -27,12 +27,13 @@ class MjxEngine(Engine):
         self,
         model: mujoco.MjModel,
         derived: tuple[str, ...] = (),
+        pushed: Sequence[int] = (),
         *,
         impl: Literal["jax", "warp"],
         worlds: int = 1,
         buffers: Solver | None = None,
     ):
-        super().__init__(model, derived)
+        super().__init__(model, derived, pushed)
         self.buffers, self.worlds = buffers or Solver(), worlds
         self.name = impl
         self._stepped = _with_box_collider(model) if impl == "warp" else model
@@ -75,7 +76,7 @@ class MjxEngine(Engine):
         return self._mjx.replace(**physics.model) if physics.model else self._mjx
 
     def _substeps(self, physics: Physics, ctrl: Array, n: int) -> Physics:
-        model, data = self._own(physics), physics.carry.replace(ctrl=ctrl)
+        model, data = self._own(physics), physics.carry.replace(ctrl=ctrl, **self._wrenches(physics.push))
         causes = physics.causes
         for _ in range(n):
             data = mjx.step(model, data)
@@ -99,7 +100,8 @@ class MjxEngine(Engine):
     def _derive(self, physics: Physics) -> Physics:
         if not self._refresh:
             return physics
-        data = getattr(mjx, *self._refresh)(self._own(physics), physics.carry)
+        pushed = physics.carry.replace(**self._wrenches(physics.push))
+        data = getattr(mjx, *self._refresh)(self._own(physics), pushed)
         values = keep_apart_from_fusion(*(getattr(data, name) for name in self.derived))
         return physics._replace(carry=data, **dict(zip(self.derived, values, strict=True)))
 

@@ -17,6 +17,7 @@ from arenas.physics.cpu import cores
 from arenas.physics.engine import DYNAMICS, Engine, Law, Physics, StepResult, float_shape
 
 STATE = ("qpos", "qvel", "qacc_warmstart", "act", "ctrl")  # all of a simulation that outlives a call
+PUSH = "xfrc_applied"  # also an input, in arenas that push bodies
 Arrays = Mapping[str, Any]
 
 
@@ -25,12 +26,14 @@ class CEngine(Engine):
 
     name = "c"
 
-    def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...] = (), threads: int = 0):
+    def __init__(
+        self, model: mujoco.MjModel, derived: tuple[str, ...] = (), pushed: Sequence[int] = (), *, threads: int = 0
+    ):
         # Only C has this reset: MJX never had it, and its Warp half refuses the flag.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         if mujoco.get_mju_user_warning() is None:  # warnings are counted below, so they need not be printed and logged
             mujoco.set_mju_user_warning(_ignore)
-        super().__init__(model, derived)
+        super().__init__(model, derived, pushed)
         self._threads = threads
         self._lock = threading.Lock()
         self._rows: dict[tuple, Simulations] = {}
@@ -83,7 +86,7 @@ class CEngine(Engine):
     def _state_arrays(self, physics: Physics, ctrl: Array) -> dict[str, Array]:
         """Return the inputs of a call, by MuJoCo's names."""
         values = zip(STATE, (physics.qpos, physics.qvel, *physics.carry, ctrl), strict=True)
-        return {name: value for name, value in values if value.size}
+        return {name: value for name, value in values if value.size} | self._wrenches(physics.push)
 
     # On the host -----------------------------------------------------------------------------------------------------
 
@@ -134,7 +137,7 @@ class Simulations:
 
     def __init__(self, batch: Batch, own: Sequence[str]):
         self.batch = batch
-        self.state = {name: batch.bind(name) for name in STATE}
+        self.state = {name: batch.bind(name) for name in (*STATE, PUSH)}
         self.model = {name: batch.expand(name) for name in own}
 
     def advance(self, n: int, law: Law | None, command: np.ndarray) -> np.ndarray:

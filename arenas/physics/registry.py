@@ -11,6 +11,7 @@ MuJoCo in C resets a world by itself when numbers become non-finite. That is swi
 """
 
 import os
+from collections.abc import Sequence
 
 import jax
 import mujoco
@@ -56,6 +57,7 @@ def make_engine(
     name: EngineName,
     model: mujoco.MjModel,
     derived: tuple[str, ...] = (),
+    pushed: Sequence[int] = (),
     *,
     worlds: int = 1,
     buffers: Solver | None = None,
@@ -63,16 +65,16 @@ def make_engine(
 ) -> Engine:
     """Make an engine by name; it is always `none` for a model in which nothing can move.
 
-    `buffers` has the sizes of Warp's buffers, `threads` are the C engine's (0: all). Raises EngineError, which names
-    the two geoms, if geoms can meet that the engine cannot collide, and for anything else in the model that the engine
-    refuses.
+    `pushed` are ids of bodies that outer forces push. `buffers` has the sizes of Warp's buffers, `threads` are the C
+    engine's (0: all). Raises EngineError, which names the two geoms, if geoms can meet that the engine cannot collide,
+    and for anything else in the model that the engine refuses.
     """
     resolved = resolve_engine(name)
     if model.nv == 0:
         return StaticEngine(model, derived)
     check_collisions(model, resolved)
     if resolved == "c":
-        return CEngine(model, derived, threads)
+        return CEngine(model, derived, pushed, threads=threads)
     if resolved == "warp":
         try:
             import warp  # mjx imports it late and fails with a traceback
@@ -86,7 +88,7 @@ def make_engine(
 
     try:
         if resolved == "warp":
-            return MjxEngine(model, derived, impl="warp", worlds=worlds, buffers=buffers)
-        return MjxEngine(model, derived, impl="jax")
+            return MjxEngine(model, derived, pushed, impl="warp", worlds=worlds, buffers=buffers)
+        return MjxEngine(model, derived, pushed, impl="jax")
     except NotImplementedError as error:
         raise EngineError(f"engine {resolved} cannot run this model: {error}; engine c can") from error

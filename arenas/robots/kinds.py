@@ -19,6 +19,7 @@ class Kind(NamedTuple):
     rows: int  # and constraint rows
     proprioception_size: int  # numbers in its proprioception
     action_size: int  # numbers in its action
+    planar: bool = False  # it moves in the world's x and z alone
     name: str = ""  # of a robot from a file: its kind in rosters; empty: as it is called in settings
 
 
@@ -40,7 +41,8 @@ def kind_of(name: str) -> Kind:
 
     found = robot_file(name)
     joints = len(found.drives)
-    return Kind(found.width, found.contacts, found.rows, found.proprioception_size, joints, found.name)
+    sizes = (found.contacts, found.rows, found.proprioception_size, joints)
+    return Kind(found.width, *sizes, found.planar, found.name)
 
 
 def is_file(name: str) -> bool:
@@ -55,10 +57,13 @@ def roster_name(name: str) -> str:
     return kind_of(name).name or name
 
 
-def check_roster(field: str, kinds: Sequence[str], players: Collection[str] = tuple(KINDS)) -> None:
+def check_roster(
+    field: str, kinds: Sequence[str], players: Collection[str] = tuple(KINDS), planar: bool = False
+) -> None:
     """Raise ValueError, one line with the field's name, for an empty team, an unknown kind or a bad robot file.
 
-    `players` are the robots in code that can play; robots from files always can.
+    `players` are the robots in code that can play; robots from files always can, those that move in a plane if
+    `planar`.
     """
     from arenas.robots.files.catalogue import shipped
 
@@ -72,9 +77,11 @@ def check_roster(field: str, kinds: Sequence[str], players: Collection[str] = tu
             hint = f"did you mean {near[0]}? " if near else ""
             raise ValueError(f"{field}: unknown robot {kind!r}: {hint}(robots: {_known(players)})")
         try:
-            kind_of(kind)
+            found = kind_of(kind)
         except ArenaError as error:
             raise ValueError(f"{field}: {error}") from None
+        if found.planar and not planar:
+            raise ValueError(f"{field}: {kind} moves in a plane alone, and plays in arena disturbance only")
 
 
 def _known(players: Collection[str]) -> str:

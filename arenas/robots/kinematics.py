@@ -55,9 +55,14 @@ class HeightReader:
     def _frames(self, qpos: Array) -> dict[int, tuple[Array, Array]]:
         """Return for each body the height of its origin () and the world's up (3,) in its own frame."""
         model = self._model
-        at = model.jnt_qposadr[model.body_jntadr[self._base]]
-        frames = {self._base: (qpos[at + 2], into_body(qpos[at + 3 : at + 7], jnp.array([0.0, 0.0, 1.0])))}
-        for i in self._bodies[1:]:
+        root = int(model.body_jntadr[self._base])
+        at, up = model.jnt_qposadr[root], jnp.array([0.0, 0.0, 1.0])
+        frames = {0: (jnp.zeros(()), up)}
+        if model.jnt_type[root] == FREE:
+            frames[self._base] = qpos[at + 2], into_body(qpos[at + 3 : at + 7], up)
+        for i in self._bodies:
+            if i in frames:
+                continue
             height, up = frames[int(model.body_parentid[i])]
             height = height + jnp.sum(up * model.body_pos[i])
             up = _into(model.body_quat[i], up)
@@ -65,7 +70,7 @@ class HeightReader:
             for j in range(first, first + int(model.body_jntnum[i])):
                 height, up = self._moved(j, qpos, height, up)
             frames[i] = height, up
-        return frames
+        return {i: frames[i] for i in self._bodies}
 
     def _moved(self, j: int, qpos: Array, height: Array, up: Array) -> tuple[Array, Array]:
         """Return height and up of a body after the motion of one of its joints."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from arenas.description import Part
@@ -34,6 +35,13 @@ class Body(NamedTuple):
     angles: Array  # (joints,) rad or m, in the robot's own order
     speeds: Array  # (joints,) rad/s or m/s
     action: Array  # (action_size,) the latest action
+
+
+class Push(NamedTuple):
+    """Forces from outside on bodies of any team, by which a robot acts, with or without a body of its own."""
+
+    bodies: tuple[str, ...]  # as the scene names them, such as blue/0/torso
+    wrench: Callable[[Array], Array]  # action (action_size,) -> (bodies, 6) N in the world, then N·m
 
 
 def identity_command(action: Array) -> Array:
@@ -79,6 +87,8 @@ class Robot:
     limp: tuple[float, ...] = ()  # (action_size,) the action of a robot that is out of the game; empty: all zero
     command: Callable[[Array], Array] = identity_command  # action (action_size,) -> command (actuators,)
     law: JointLaw | None = None  # applied before every physics substep; None is the identity
+    push: Push | None = None  # its forces on bodies, held for a decision; None: it pushes nothing from outside
+    sets: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that its first action sets: bounds
     proprioception: Callable[[Body], Array] | None = None  # sensing of itself, (n,)
     fallen: Callable[[Array], Array] = never_falls  # base pose (7,) -> () bool
     scripts: Mapping[str, Script] = field(default_factory=dict)  # scripts that need no game: idle, random, ...
@@ -112,6 +122,11 @@ class Robot:
         """The description of its proprioception; a single unnamed part if its numbers have no names."""
         nameless = (Part("proprioception", self.proprioception_size),) if self.proprioception_size else ()
         return self.proprioception_parts or nameless
+
+    def designed(self, action: Array) -> Array:
+        """Return the numbers (sets,) that an action (..., sets) sets: -1 the lowest, 1 the highest, clipped beyond."""
+        low, high = np.array(list(self.sets.values()), np.float32).reshape(-1, 2).T
+        return jnp.asarray(low) + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
 
     def observe_self(self, body: Body) -> Array:
         """Return its proprioception (proprioception_size,); (0,) if it has none."""

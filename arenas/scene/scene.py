@@ -3,8 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import Array
 
 from arenas.arena_settings import Solver
 from arenas.errors import ArenaError
@@ -17,14 +19,36 @@ from arenas.scene.props import Prop
 class Indices:
     """Indices of one robot's numbers in the model's arrays."""
 
-    base: int  # body id of the free base
-    qpos: int  # first of the base's 7 positions: x, y, z, quaternion w first
-    qvel: int  # first of the base's 6 velocities: linear in the world frame, angular in the body frame
+    base: int  # body id of the base
+    qpos: int  # first of a free base's 7 positions: x, y, z, quaternion w first; of a planar base's 3: x, z, pitch
+    qvel: int  # first of the base's 6 velocities: linear in the world frame, angular in the body frame; or of its 3
     ctrl: np.ndarray  # (robot.nu,) actuators, in the robot's own order
     joint_qpos: np.ndarray  # (robot joints,) in the robot's own order
     joint_qvel: np.ndarray
     own_qpos: np.ndarray  # all positions of this robot, passive joints too
     own_qvel: np.ndarray  # all its velocities
+    height: float | None = None  # m, of a planar base whose z is 0: it moves in the world's x and z; None: a free base
+
+    @property
+    def planar(self) -> bool:
+        """Return whether the base moves in the world's x and z alone."""
+        return self.height is not None
+
+    def pose(self, qpos: Array) -> Array:
+        """Return the base's pose (7,) in the world from qpos (nq,): x, y, z in metres, quaternion w first."""
+        if self.height is None:
+            return qpos[self.qpos : self.qpos + 7]
+        x, z, pitch = qpos[self.qpos : self.qpos + 3]
+        zero = jnp.zeros(())
+        return jnp.stack([x, zero, self.height + z, jnp.cos(pitch / 2), zero, jnp.sin(pitch / 2), zero])
+
+    def velocity(self, qvel: Array) -> Array:
+        """Return the base's velocity (6,) from qvel (nv,): linear in the world, m/s; angular in its frame, rad/s."""
+        if self.height is None:
+            return qvel[self.qvel : self.qvel + 6]
+        x, z, pitch = qvel[self.qvel : self.qvel + 3]
+        zero = jnp.zeros(())
+        return jnp.stack([x, zero, z, zero, pitch, zero])
 
 
 @dataclass(frozen=True)
@@ -106,18 +130,20 @@ def _attach(spec: mujoco.MjSpec, part: mujoco.MjSpec, prefix: str) -> mujoco.Mjs
 
 def _indices(model: mujoco.MjModel, agent: str, robot: Robot) -> Indices:
     base = model.body(f"{agent}/{robot.base}").id
-    free = model.body_jntadr[base]
+    root = model.body_jntadr[base]
+    planar = model.jnt_type[root] != mujoco.mjtJoint.mjJNT_FREE
     joints = [model.joint(f"{agent}/{name}").id for name in robot.joints]
     own = [model.joint(i) for i in range(model.njnt) if model.joint(i).name.startswith(f"{agent}/")]
     return Indices(
         base=base,
-        qpos=int(model.jnt_qposadr[free]),
-        qvel=int(model.jnt_dofadr[free]),
+        qpos=int(model.jnt_qposadr[root]),
+        qvel=int(model.jnt_dofadr[root]),
         ctrl=np.array([model.actuator(f"{agent}/{name}").id for name in robot.actuators], int),
         joint_qpos=model.jnt_qposadr[joints],
         joint_qvel=model.jnt_dofadr[joints],
         own_qpos=np.concatenate([np.arange(j.qposadr[0], j.qposadr[0] + len(j.qpos0)) for j in own]),
         own_qvel=np.concatenate([np.arange(j.dofadr[0], j.dofadr[0] + len(j.damping)) for j in own]),
+        height=float(model.body_pos[base][2]) if planar else None,
     )
 
 

@@ -47,6 +47,10 @@ COMMANDS = {
         "league.commands.play.exploit",
         "train a fresh attacker against one frozen policy: how much does it take?",
     ),
+    "grid": (
+        "league.commands.play.grid",
+        "snapshots over a grid of masses and frictions: mean, worst tenth and worst cell",
+    ),
     "sprt": (
         "league.commands.analyse.sprt",
         "a sequential test of who is better, for seed pairs that you have counted",

@@ -136,7 +136,7 @@ def spelt(args: Sequence[str]) -> list[str]:
     return ["--output" if word == "-o" else word for word in args]
 
 
-def without_arena_flags(args: list[str]) -> tuple[list[str], flags.Given]:
+def without_arena_flags(args: Sequence[str]) -> tuple[list[str], flags.Given]:
     """Return the arguments without the flags of the arena's settings, and these flags."""
     own, given, words = [], {}, list(args)
     while words:

@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from agents.settings import Architecture, HappoConfig
 from league.config.experiment import Config, default
@@ -13,6 +13,9 @@ from league.config.stages import Stage
 from matchmaking.opponents import Opponents
 from matchmaking.roles import Role
 from matchmaking.schedule import Schedule
+
+if TYPE_CHECKING:
+    from arenas.games.disturbance import DisturbanceSettings
 
 
 def quickstart() -> Config:
@@ -156,6 +159,49 @@ def galaga_2v2() -> Config:
     return _ladder("galaga-2v2", *_galaga("2v2"))
 
 
+def hopper_alone() -> Config:
+    """Hopper that learns to hop ahead undisturbed, the base line of the next two; for a GPU."""
+    return _hopper("hopper-alone", bodies=())
+
+
+def hopper_adversary() -> Config:
+    """Hopper against one adversary that pushes its foot (RARL, Pinto et al. 2017): both learn, by turns."""
+    config = _hopper("hopper-adversary")
+    training = replace(config.training, schedule=Schedule("leapfrog", period=25))
+    budget = replace(config.budget, steps=200_000_000)  # of both in turn, so the walker has as many as in the others
+    return replace(config, training=training, budget=budget)
+
+
+def hopper_adversaries() -> Config:
+    """Hopper against the history of four adversaries (Vinitsky et al. 2020): one learns beside it, three against its
+    newest snapshot.
+    """
+    config = _hopper("hopper-adversaries")
+    natures = [PlayerSettings("nature", f"nature-{i}" if i > 1 else "nature", "adversary") for i in range(1, 5)]
+    roles = (
+        Role("main", timeout=2_000_000, opponents=Opponents("delta_uniform", delta=0.5, past=0.75)),
+        Role("adversary", timeout=2_000_000, opponents=Opponents("latest")),
+    )
+    return replace(config, players=(PlayerSettings("blue"), *natures), roles=roles)
+
+
+def _hopper(name: str, **arena: Any) -> Config:
+    """Return a league of a hopper against forces on its foot of at most a fifth of its weight; the walker's budget is
+    the same in all.
+    """
+    config = default("disturbance")
+    settings = cast("DisturbanceSettings", config.arena)
+    rules = replace(settings.rules, weight_share=0.2)
+    settings = replace(settings, **{"blue": ("hopper",), "bodies": ("foot",), "rules": rules, **arena})
+    learner = HappoConfig(
+        Architecture((128, 128), "elu"), lr=5e-4, critic_lr=1e-3, gamma=0.99, initial_std=0.5, desired_kl=0.01,
+        normalise_observations=True,
+    )  # fmt: skip
+    training = replace(config.training, rollout_length=24, snapshots_per_doubling=2)
+    budget = Budget(steps=100_000_000, rating_time="2m")
+    return replace(config, league=name, arena=settings, learner=learner, training=training, budget=budget)
+
+
 def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) -> Config:
     """Return a league of HARL-A's stages and a last stage of matches; `match` has settings of the last stage.
 
@@ -223,6 +269,7 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "quickstart": quickstart, "duel": duel, "selfplay": selfplay, "leapfrog": leapfrog, "alphastar": alphastar,
     "psro": psro, "openai-five": openai_five, "delta-uniform": delta_uniform, "harl_a": harl_a,
     "sumo-by-team": by_team, "sumo-within-team": within_team,
+    "hopper-alone": hopper_alone, "hopper-adversary": hopper_adversary, "hopper-adversaries": hopper_adversaries,
     "soccer-1v1": soccer_1v1, "soccer-2v2": soccer_2v2, "galaga-1v1": galaga_1v1, "galaga-2v2": galaga_2v2,
 }  # fmt: skip
 

@@ -43,7 +43,8 @@ def episode(
     last, happened = decisions * hold - 1, sorted(_events(frames.events, teams) + _contact(arena, frames.qpos))
     if not games.void[world] and (late := _timeout(arena, frames, np.asarray(games.score[world]))) is not None:
         happened = sorted([*happened, (late, "timeout")], key=lambda event: event[0])
-    events = [*happened, (last, outcome)]
+    design = arena.describe_design({name: each[0] for name, each in actions.items()})
+    events = [*([(0, design)] if design else []), *happened, (last, outcome)]
     return Recording(
         header, arena.scene.xml, frames.time, frames.qpos, actions, rewards, scores, frames.markers, events,
         terms={**frames.rewards, **frames.shapings},

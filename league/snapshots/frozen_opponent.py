@@ -46,7 +46,7 @@ class FrozenOpponent:
             )
         if self.snapshot.script:
             return scripted(arena, team, self.snapshot.script)
-        return _seated(team, self._policies(arena))
+        return seated(team, self._policies(arena))
 
     def _policies(self, arena: "Arena") -> Sequence[Policy]:
         if self.store is not None:
@@ -68,7 +68,7 @@ class ProgramOpponent:
     def for_team(self, arena: "Arena", team: "TeamSpec") -> Opponent:
         """Return the opponent. Raises ProgramError, one line, for a program that cannot play for the team."""
         program = stored.read(self.kind, self.named.split(","), team.roster)
-        return _seated(team, stored.host_policies(program.to_bytes(), self.named))
+        return seated(team, stored.host_policies(program.to_bytes(), self.named))
 
 
 def opponent(named: str, league: str | None = None) -> FrozenOpponent | ProgramOpponent:
@@ -87,7 +87,7 @@ def opponent(named: str, league: str | None = None) -> FrozenOpponent | ProgramO
     return FrozenOpponent(named, snapshot, tensors=policy.arrays)
 
 
-def _seated(team: "TeamSpec", policies: Sequence[Policy]) -> Opponent:
+def seated(team: "TeamSpec", policies: Sequence[Policy]) -> Opponent:
     """Return the opponent with these policies of the team's agents."""
     stacks = {agent.name: stack_policies([policy]) for agent, policy in zip(team.agents, policies, strict=True)}
     return Opponent(_actor(tuple(stacks)), stacks, lambda worlds: _new_memory(stacks, worlds), kept=policies)

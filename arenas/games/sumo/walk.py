@@ -9,7 +9,7 @@ all else is zero. For later stages with another layout, the walk accepts another
 `arenas/games/soccer/observation.py`).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import NamedTuple, Unpack
 
@@ -75,7 +75,10 @@ def sumo_walk_observation(buffer: int) -> WalkObservation:
 
 
 class Walk(Arena):
-    """An ANYmal, called `blue/0`, and its goal; `layout` is its observation, by default as in sumo's later stages."""
+    """An ANYmal, called `blue/0`, and its goal; `layout` is its observation, by default as in sumo's later stages.
+
+    `others` are rosters of further teams, whose games judge them.
+    """
 
     def __init__(
         self,
@@ -83,6 +86,7 @@ class Walk(Arena):
         layout: WalkObservation | None = None,
         robot: Robot | None = None,
         solver: Solver | None = None,
+        others: Mapping[str, Sequence[Robot]] | None = None,
         **options: Unpack[EngineOptions],
     ):
         rules = settings.rules
@@ -90,7 +94,7 @@ class Walk(Arena):
         self.robot = robot or anymal()
         # Random play, including falls, had at most 7 contacts and 29 rows; twelve joints may be at their limits.
         super().__init__(
-            settings.name, {"blue": (self.robot,)}, settings.timing,
+            settings.name, {"blue": (self.robot,), **(others or {})}, settings.timing,
             {**asdict(rules), "randomisation": asdict(settings.randomisation)},
             solver=solver or Solver(contacts=18, rows=80), marker_kinds={"goal": "circle"}, **options,
         )  # fmt: skip
@@ -229,7 +233,7 @@ class Walk(Arena):
 
     def _distance(self, physics: Physics, game: GameState) -> Array:
         """Return the distance to the goal in metres, along the ground."""
-        return jnp.sqrt(jnp.sum((physics.qpos[self._at.qpos : self._at.qpos + 2] - game.goal) ** 2))
+        return jnp.sqrt(jnp.sum((self._at.pose(physics.qpos)[:2] - game.goal) ** 2))
 
     def _goal_in_base_frame(self, body: Body, game: GameState) -> Array:
         """Return the goal (3,) in the robot's frame."""

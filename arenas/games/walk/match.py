@@ -3,6 +3,7 @@
 The observation is the robot's proprioception and then the goal (3,), 0.25 m above the ground, in its own frame.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Unpack
 
 import jax.numpy as jnp
@@ -26,14 +27,16 @@ SPARE_CONTACTS, SPARE_ROWS = 4, 36  # of Warp's buffers, besides those of the ki
 class RobotWalk(Walk):
     """A robot, called `blue/0`, and its goal."""
 
-    def __init__(self, settings: RobotWalkSettings, **options: Unpack[EngineOptions]):
+    def __init__(
+        self,
+        settings: RobotWalkSettings,
+        others: Mapping[str, Sequence[Robot]] | None = None,
+        **options: Unpack[EngineOptions],
+    ):
         name = settings.blue[0]
-        robot = anymal() if name == "anymal" else file_robot(name)
-        if not robot.feet:
-            raise ArenaError(f"robot {name} has no feet to walk on: name them in its robot file, feet = [bodies]")
-        room = kind_of(name)
+        robot, room = walker_of(name), kind_of(name)
         solver = Solver(contacts=SPARE_CONTACTS + room.contacts, rows=SPARE_ROWS + room.rows)
-        super().__init__(settings, observation(robot, settings.buffer), robot, solver, **options)
+        super().__init__(settings, observation(robot, settings.buffer), robot, solver, others, **options)
         feet = [f"{WALKER}/{foot}" for foot in robot.feet]
         self._heights = HeightReader(self.scene.model, self._at.base, feet)
 
@@ -44,6 +47,14 @@ class RobotWalk(Walk):
     def down(self, body: Body, low: Heights) -> Array:
         """Return () bool: it has fallen by the walk's rule, or its own."""
         return super().down(body, low) | self.robot.fallen(body.pose)
+
+
+def walker_of(name: str) -> Robot:
+    """Make the robot of a kind. Raises ArenaError, one line, for one without feet."""
+    robot = anymal() if name == "anymal" else file_robot(name)
+    if not robot.feet:
+        raise ArenaError(f"robot {name} has no feet to walk on: name them in its robot file, feet = [bodies]")
+    return robot
 
 
 def observation(robot: Robot, buffer: int) -> WalkObservation:

@@ -1,7 +1,7 @@
 """Settings of the walk of any robot with feet; rules and rewards are those of `anymal-walk`. Loads nothing heavy."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, ClassVar, Unpack
 
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
@@ -19,6 +19,8 @@ GOAL = 3  # numbers of the goal's position
 class RobotWalkSettings(WalkSettings):
     """A robot with feet alone on an open plane that must reach a point in time."""
 
+    PLANAR: ClassVar[bool] = False  # whether a robot that moves in a plane alone can play
+
     name: str = "walk"
     """The arena's name."""
     blue: tuple[str, ...] = ("anymal",)
@@ -26,7 +28,7 @@ class RobotWalkSettings(WalkSettings):
 
     def __post_init__(self) -> None:
         """Check that there is one robot, and that it can walk."""
-        check_roster("blue", self.blue, WALKERS)
+        check_roster("blue", self.blue, WALKERS, self.PLANAR)
         if len(self.blue) != 1:
             raise ValueError(f"blue: {len(self.blue)} robots: one walks alone")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from arenas.errors import ArenaError
 from arenas.robots.files.robot_file import Drive, RobotFile
-from arenas.robots.files.source import MESH, Source
+from arenas.robots.files.source import MESH, PLANE, Source
 from arenas.robots.robot import Colour
 
 # Bits as in arenas.scene.props: 1 the ground, 2 bodies. A file's own bits fit its own scene alone: two of gymnasium's
@@ -36,12 +36,22 @@ def build_body(source: Source, robot: RobotFile, colour: Colour) -> mujoco.MjSpe
             place = _placed(*_turned(upright, model.body_pos[i], model.body_quat[i]))
         made[i] = (parent or spec.worldbody).add_body(name=source.body(i), **place, **_inertia(model, i, turn))
         if parent is None:
-            made[i].add_freejoint(name="base")
+            _add_base(made[i], source.planar)
         _add_joints(source, robot, made[i], i)
         _add_geoms(source, robot, made[i], i, turn, colour)
     _add_actuators(spec, robot)
     _add_excludes(spec, source, robot, made)
     return spec
+
+
+def _add_base(body: mujoco.MjsBody, planar: bool) -> None:
+    """Add the joints of the base: a free one, or slides along x and z and a hinge about y."""
+    if not planar:
+        body.add_freejoint(name="base")
+        return
+    kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+    for name, kind, axis in zip(("base_x", "base_z", "base_pitch"), kinds, PLANE, strict=True):
+        body.add_joint(name=name, type=kind, axis=axis)
 
 
 def upright_turn(source: Source) -> np.ndarray:
@@ -193,8 +203,11 @@ def home_pose(source: Source, drives: dict[str, Drive]) -> mujoco.MjData:
     """Return the shapes of the file with the drives at home, the base at the origin of the world."""
     model = source.shapes
     data = mujoco.MjData(model)
-    free = model.jnt_qposadr[model.body_jntadr[source.base]]
-    data.qpos[free : free + 7] = [0, 0, 0, *upright_turn(source)]
+    root = model.jnt_qposadr[model.body_jntadr[source.base]]
+    if source.planar:  # its zeros are the file's, so they are moved to put the base at the origin
+        data.qpos[root : root + 3] = model.qpos0[root : root + 3] - [*model.body_pos[source.base][[0, 2]], 0]
+    else:
+        data.qpos[root : root + 7] = [0, 0, 0, *upright_turn(source)]
     for j in source.joints:
         drive = drives.get(source.joint(j))
         if drive is not None:

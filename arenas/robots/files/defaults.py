@@ -43,7 +43,7 @@ def derive(
     return RobotFile(
         name=_name(path), model=path.name, base=source.body(source.base), height=height, width=width,
         fall_height=_round(FALLEN_HEIGHT * height), fall_up=FALLEN_UP, feet=feet, drives=drives, passive=passive,
-        self_contact=_touches_itself(source), free_base=free_base, contacts=min(48, 4 + touching),
+        self_contact=_touches_itself(source), free_base=free_base, planar=source.planar, contacts=min(48, 4 + touching),
         rows=len(drives) + 4 * min(24, 4 + touching), folder=str(path.parent),
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from arenas.description import Part
+from arenas.errors import ArenaError
 from arenas.robots.files.body import build_body, check_names
 from arenas.robots.files.catalogue import model_path, robot_file
 from arenas.robots.files.driving import wheel_drive
@@ -101,6 +102,11 @@ def source_of(settings: RobotFile) -> Source:
     path = model_path(settings)
     source = _read(str(path), path.stat().st_mtime_ns, settings.free_base)
     check_names(source, settings)
+    if source.planar != settings.planar:
+        moves = "in a plane alone" if source.planar else "freely"
+        raise ArenaError(
+            f"robot {settings.name}: base {settings.base} moves {moves}: set planar = {source.planar!s:.5}"
+        )
     return source
 
 

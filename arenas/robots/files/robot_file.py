@@ -38,7 +38,7 @@ class RobotFile:
 
     name: str  # its kind in rosters
     model: str  # the MJCF or URDF file, or package:path for a file in an installed package
-    base: str  # the body with the free joint
+    base: str  # the body with the free joint, or the three of a planar base
     height: float  # m, base's origin above the ground when standing
     width: float  # m, diameter of the circle that it covers when standing, in any heading
     fall_height: float  # m, a base below this has fallen
@@ -48,6 +48,7 @@ class RobotFile:
     passive: tuple[str, ...] = ()  # joints without an actuator, which move freely
     self_contact: bool = True  # its own bodies touch each other
     free_base: bool = False  # the model has no free joint, and the base gets one
+    planar: bool = False  # the base moves in the world's x and z alone, and pitches
     contacts: int = 16  # Warp's contact slots for it
     rows: int = 64  # Warp's constraint rows for it
     folder: str = "."  # where `model` is relative to
@@ -60,7 +61,7 @@ class RobotFile:
     @property
     def identity(self) -> str:
         """All settings that decide how it moves, as text: part of an arena's configuration hash."""
-        apart = {"folder", "model", "contacts", "rows", "width", "name"}
+        apart = {"folder", "model", "contacts", "rows", "width", "name", "planar"}  # the model decides `planar`
         return json.dumps({key: value for key, value in asdict(self).items() if key not in apart})
 
 
@@ -91,6 +92,7 @@ name = {_text(robot.name)}
 model = {_text(robot.model)}  # MJCF or URDF, relative to this file
 base = {_text(robot.base)}  # the body that moves freely
 free_base = {_text(robot.free_base)}  # true: the model has no free joint, and the base gets one
+planar = {_text(robot.planar)}  # true: the model's base slides along x and z and pitches, and does no more
 height = {_text(robot.height)}  # m, base above the ground when standing
 width = {_text(robot.width)}  # m, diameter of the circle that it covers
 feet = {_text(list(robot.feet))}  # bodies that it stands on

@@ -1,5 +1,6 @@
 """Reading of MJCF and URDF files: the compiled model, and the one robot in it. All else in the file is left out."""
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ from arenas.errors import ArenaError
 
 ELONGATED = 1.6  # a mesh so much longer than wide is fitted by a capsule, else by a box
 MESH, FREE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtJoint.mjJNT_FREE)
-BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("BALL", "SLIDE", "HINGE"))
+PLANE = ((1, 0, 0), (0, 0, 1), (0, 1, 0))  # axes of the joints of a planar base, as in gymnasium's hopper
 ADDED_JOINT = "free base"  # of a base that the file fixes to the world
 
 
@@ -24,9 +26,10 @@ class Source:
     shapes: mujoco.MjModel  # geoms, none of them a mesh
     base: int  # body id
     bodies: list[int]  # ids of the robot's bodies, parents first
-    joints: list[int]  # ids of its joints except the free one
+    joints: list[int]  # ids of its joints except those of its base
     left_out: list[str]  # what the robot does without, in words
     named: int  # bodies, joints and geoms that had no name
+    planar: bool = False  # its base slides along the world's x and z and pitches, instead of moving freely
 
     def joint(self, i: int) -> str:
         """Return the name of a joint."""
@@ -55,10 +58,11 @@ def read_source(path: Path, free_base: bool = False) -> Source:
     model = _compiled(spec, path)
     base = _base(model, path)
     bodies = [i for i in range(model.nbody) if model.body_rootid[i] == base and i > 0]
-    joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] in bodies and model.jnt_type[j] != FREE]
+    joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] in bodies and model.jnt_bodyid[j] != base]
     _check(model, path, joints)
     left_out += list(_left_out(spec, model, base))
-    return Source(path, model, _shapes(spec, model, path), base, bodies, joints, left_out, named)
+    planar = bool(model.jnt_type[model.body_jntadr[base]] != FREE)
+    return Source(path, model, _shapes(spec, model, path), base, bodies, joints, left_out, named, planar)
 
 
 def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> list[str]:
@@ -118,7 +122,9 @@ def _tries(stem: str) -> Iterator[str]:
 
 def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     try:
-        return spec.compile()
+        with warnings.catch_warnings():  # of attributes that MuJoCo will drop: the file is a stranger's
+            warnings.simplefilter("ignore", UserWarning)
+            return spec.compile()
     except ValueError as error:
         raise ArenaError(f"{path}: {_flat(error)}") from None
 
@@ -130,11 +136,23 @@ def _base(model: mujoco.MjModel, path: Path) -> int:
     if free:
         names = ", ".join(model.body(i).name for i in free)
         raise ArenaError(f"{path}: {len(free)} bodies have a free joint ({names}): a robot has one")
-    fixed = [model.body(i).name for i in range(1, model.nbody) if model.body_parentid[i] == 0]
+    tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
+    planar = [i for i in tops if _moves_in_a_plane(model, i)]
+    if len(planar) == 1:
+        return planar[0]
+    fixed = [model.body(i).name for i in tops]
     held = f"body {', '.join(fixed)}" if fixed else "it has no body, and nothing"
     raise ArenaError(
         f"{path}: no body has a free joint: {held} is fixed to the world; add <freejoint/> to it, or --free-base"
     )
+
+
+def _moves_in_a_plane(model: mujoco.MjModel, body: int) -> bool:
+    """Return whether a body has three joints: slides along the world's x and z, then a hinge about y."""
+    first = int(model.body_jntadr[body])
+    kinds = [int(kind) for kind in model.jnt_type[first : first + model.body_jntnum[body]]]
+    upright = np.allclose(model.body_quat[body], [1, 0, 0, 0])
+    return upright and kinds == [SLIDE, SLIDE, HINGE] and np.allclose(model.jnt_axis[first : first + 3], PLANE)
 
 
 def _check(model: mujoco.MjModel, path: Path, joints: list[int]) -> None:

@@ -68,7 +68,7 @@ def robot(args: list[str]) -> int:
         _draw(trial, settings.name, settings.width, options.shot)
     if options.engine not in ("c", "auto"):
         passed &= _compare(options.engine, _with_buffers(settings, trial), trial)
-    _next(options.file if target is None else str(target))
+    _next(options.file if target is None else str(target), settings.planar)
     return exit_codes.DONE if passed else exit_codes.NO
 
 
@@ -206,6 +206,7 @@ def _draw(trial: "RobotTrial", name: str, width: float, path: Path) -> None:
     print(f"Wrote {path}")
 
 
-def _next(file: str) -> None:
-    print("Play it: league check walk --arena.blue", file)
-    print(f"         league run --arena.name walk --arena.blue {file}")
+def _next(file: str, planar: bool) -> None:
+    arena = "disturbance" if planar else "walk"
+    print(f"Play it: league check {arena} --arena.blue {file}")
+    print(f"         league run --arena.name {arena} --arena.blue {file}")

@@ -1,0 +1,205 @@
+"""The disturbed walk: a robot walks ahead, and nature pushes its bodies, or sets its masses and friction beforehand.
+
+The walk is that of `arenas.games.walk`, with its goal ahead of the start. Nature is the other team:
+
+- `disturbance` pushes bodies of the walker in every decision;
+- `designer` sets factors in the first decision, and then leaves the game.
+
+The walker wins at the goal; nature wins when the walker falls, or time is up. Nature's reward is the walker's with the
+opposite sign, and a cost of its forces. Without bodies and factors there is no nature: one team, with the same
+observation, whose policies play in both.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Unpack
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jax import Array
+
+from arenas.arena_settings import EngineOptions
+from arenas.description import Legend, Part
+from arenas.errors import ArenaError
+from arenas.games.disturbance.settings import BASE, FRICTION, NATURE, DisturbanceSettings
+from arenas.games.sumo.walk import WALKER, GameState
+from arenas.games.walk.match import RobotWalk, walker_of
+from arenas.physics.engine import Physics
+from arenas.robots.nature import designer, disturbance
+from arenas.robots.robot import Robot, Script
+from arenas.scene.colours import TEAM_COLOURS
+from arenas.state import Verdict
+
+GRAVITY = 9.81  # m/s²
+SIDES = jnp.array([1.0, -1.0])  # the walker's gain is nature's loss
+
+
+class DisturbedState(NamedTuple):
+    """The walk's state, and what nature did."""
+
+    walk: GameState
+    factors: Array  # (factors,) that the designer set; 1 before
+    designing: Array  # () bool: the first decision is still to come
+    effort: Array  # () mean square of the present forces, as shares of their limit
+
+
+class Disturbance(RobotWalk):
+    """A walker, `blue/0`, and nature."""
+
+    def __init__(self, settings: DisturbanceSettings, **options: Unpack[EngineOptions]):
+        walker = walker_of(settings.blue[0])
+        self.bounds, self.axes = settings.bounds, settings.axes
+        model = _model(walker)
+        self.limit = max(settings.rules.force, settings.rules.weight_share * GRAVITY * float(model.body_mass.sum()))
+        bodies = [_body_name(walker, model, "bodies", name) for name in settings.bodies]
+        if twice := [name for name in bodies if bodies.count(name) > 1]:
+            raise ArenaError(f"bodies: {twice[0].removeprefix(f'{WALKER}/')} is named twice")
+        weighed = {name: _body_name(walker, model, "design", name) for name in self.bounds if name != FRICTION}
+        nature: list[Robot] = []
+        if bodies:
+            nature.append(disturbance(bodies, self.limit, self.axes))
+        if self.bounds:
+            nature.append(designer(self.bounds))
+        super().__init__(settings, {NATURE: nature} if nature else {}, **options)
+        self.cost, self._ahead = self.weights.pop("force"), settings.rules.distance
+        self.alone = not nature
+        self._nature = {robot.kind: agent for agent, robot in self.robots.items() if agent != WALKER}
+        self._factors = [_Factor(self.scene.model, self._at.base, weighed.get(name)) for name in self.bounds]
+
+    def observation_size(self, agent: str) -> int:
+        """Return the size of the observation: nature sees what the walker sees, and the factors."""
+        return self.layout.size + (len(self.bounds) if agent != WALKER else 0)
+
+    def observation_parts(self, agent: str) -> tuple[Part, ...]:
+        """Describe the observation."""
+        parts = super().observation_parts(WALKER)
+        if agent == WALKER:
+            return parts
+        return (*parts, *(Part(f"factor {name}", 1, "", "that nature set; 1 before") for name in self.bounds))
+
+    def legend(self) -> Legend:
+        """Describe the verdict; the notes of the weights describe the walker's terms."""
+        walk = super().legend()
+        if self.alone:
+            return walk
+        won = f"1 for the walker within {self.rules.reach:g} m of the goal; 1 for nature when it falls, or time is up"
+        return Legend(won, {**walk.rewards, "force": ""}, events=walk.events)
+
+    # Rules -----------------------------------------------------------------------------------------------------------
+
+    def place(self, key: Array) -> tuple[Array, Array, DisturbedState]:  # type: ignore[override]
+        """Place the walker at the origin, facing the goal, with joints a little off their rest."""
+        at, noise = self._at, 0.02 * jax.random.normal(key, (len(self._at.joint_qpos),))
+        qpos = self._rest.at[at.joint_qpos].add(noise)
+        goal, still = jnp.array([self._ahead, 0.0]), jnp.zeros(self.robot.action_size)
+        walk = GameState(goal, still, still, jnp.zeros(len(self.robot.feet)))
+        state = DisturbedState(walk, jnp.ones(len(self.bounds)), jnp.ones((), bool), jnp.zeros(()))
+        return qpos, jnp.zeros(self.scene.model.nv), state
+
+    def randomise(self, key: Array) -> dict[str, Array]:
+        """Draw model fields by the settings, and add those that nature may set."""
+        drawn, model = super().randomise(key), self.scene.model
+        names = {field for factor in self._factors for field in factor.fields}
+        return {name: jnp.asarray(getattr(model, name), jnp.float32) for name in sorted(names)} | drawn
+
+    def decide(self, game: DisturbedState, actions: dict[str, Array]) -> DisturbedState:  # type: ignore[override]
+        """Store the walker's action, nature's effort and, in the first decision, its factors."""
+        effort, factors = game.effort, game.factors
+        if pusher := self._nature.get("disturbance"):
+            effort = jnp.mean(jnp.clip(actions[pusher], -1.0, 1.0) ** 2)
+        if author := self._nature.get("designer"):
+            factors = jnp.where(game.designing, self.robots[author].designed(actions[author]), factors)
+        return DisturbedState(super().decide(game.walk, actions), factors, jnp.zeros((), bool), effort)
+
+    def design(self, physics: Physics, game: DisturbedState) -> tuple[Array, Array, dict[str, Array]] | None:
+        """Multiply friction and masses by nature's factors."""
+        if not self._factors:
+            return None
+        fields = dict(physics.model)
+        for factor, value in zip(self._factors, game.factors, strict=True):
+            fields |= {name: factor.applied(fields[name], value) for name in factor.fields}
+        return physics.qpos, physics.qvel, {name: fields[name] for f in self._factors for name in f.fields}
+
+    def observe(self, physics: Physics, game: DisturbedState, actions: dict[str, Array]) -> dict[str, Array]:  # type: ignore[override]
+        """Return the walk's observation, for nature with the factors."""
+        seen = super().observe(physics, game.walk, actions)[WALKER]
+        nature = jnp.concatenate([seen, game.factors])
+        return {agent: seen if agent == WALKER else nature for agent in self.robots}
+
+    def judge(self, before: Physics, physics: Physics, game: DisturbedState) -> tuple[DisturbedState, Verdict]:  # type: ignore[override]
+        """Judge the walk, and give nature the opposite."""
+        walk, verdict = super().judge(before, physics, game.walk)
+        game = game._replace(walk=walk)
+        if self.alone:
+            return game, verdict
+        rewards = {name: term * SIDES for name, term in verdict.rewards.items()}
+        rewards["force"] = self.cost * self.timing.control_interval * game.effort * jnp.array([0.0, 1.0])
+        return game, verdict._replace(
+            rewards=rewards,
+            score=jnp.concatenate([verdict.score, 1.0 - verdict.score]),
+            events={name: jnp.append(event, False) for name, event in verdict.events.items()},
+        )
+
+    def markers(self, physics: Physics, game: DisturbedState) -> dict[str, Array]:  # type: ignore[override]
+        """Return the circle that counts as reached."""
+        return super().markers(physics, game.walk)
+
+    def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
+        """Return the walk's scripts, and `headwind`, a constant force against the walk with the factors in the
+        middle.
+        """
+        wind = jnp.tile(jnp.array([-1.0 if axis == "x" else 0.0 for axis in self.axes]), self._pushed)
+        still = jnp.zeros(len(self.bounds))
+        nature: Mapping[str, Script] = {"disturbance": lambda seen, key: wind, "designer": lambda seen, key: still}
+        return {**super().game_scripts(), "headwind": nature}
+
+    @property
+    def _pushed(self) -> int:
+        """The number of bodies that nature pushes."""
+        push = self.robots[self._nature["disturbance"]].push if "disturbance" in self._nature else None
+        return len(push.bodies) if push else 0
+
+
+class DesignedDisturbance(Disturbance):
+    """The same with a designer, which leaves the game after its first decision."""
+
+    def alive(self, physics: Physics, game: DisturbedState) -> Array:  # type: ignore[override]
+        """Return (agents,) bool: all, and the designer until its first decision."""
+        return jnp.stack([
+            game.designing if robot.kind == "designer" else jnp.ones((), bool) for robot in self.robots.values()
+        ])  # fmt: skip
+
+
+class _Factor:
+    """One number that nature sets: a factor on the walker's friction, or on the mass of one of its bodies."""
+
+    def __init__(self, model: mujoco.MjModel, base: int, body: str | None):
+        """Choose a body by its name in the model, or without one the friction of the robot with this base (id)."""
+        if body is None:
+            self.fields: tuple[str, ...] = ("geom_friction",)
+            self._chosen = np.zeros((model.ngeom, 3), bool)
+            self._chosen[model.body_rootid[model.geom_bodyid] == base, 0] = True
+        else:
+            self.fields = ("body_mass", "body_inertia")
+            self._chosen = np.arange(model.nbody) == model.body(body).id
+
+    def applied(self, field: Array, factor: Array) -> Array:
+        """Return a field of the model with its own numbers multiplied."""
+        chosen = self._chosen if field.ndim == self._chosen.ndim else self._chosen[:, None]
+        return jnp.where(chosen, field * factor, field)
+
+
+def _model(robot: Robot) -> mujoco.MjModel:
+    """Compile a robot alone."""
+    assert robot.build is not None
+    return robot.build(TEAM_COLOURS[0]).compile()
+
+
+def _body_name(robot: Robot, model: mujoco.MjModel, setting: str, name: str) -> str:
+    """Return the name in the scene of a body of the walker. Raises ArenaError, one line, if it has no such body."""
+    known = [model.body(i).name for i in range(1, model.nbody)]
+    body = robot.base if name == BASE else name
+    if body not in known:
+        raise ArenaError(f"{setting}: {robot.kind} has no body {name}; it has {', '.join(known)}")
+    return f"{WALKER}/{body}"

@@ -1,0 +1,231 @@
+"""The disturbed walk: what nature does to the walker, what both get for it, and robots that move in a plane."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from arenas.arena_settings import Table
+from arenas.errors import ArenaError
+from arenas.games.disturbance import DisturbanceSettings
+from arenas.games.disturbance.settings import DisturbanceRules
+from arenas.games.walk import RobotWalkSettings
+from arenas.robots.kinematics import HeightReader
+
+pytest.importorskip("gymnasium")
+SHORT = DisturbanceRules(episode=1.0, force=20.0, weight_share=0.0)
+HOPPER = DisturbanceSettings(blue=("hopper",), bodies=("base", "foot"), rules=SHORT)
+BOTH = replace(HOPPER, design=Table({"friction": [0.5, 2.0], "foot": [0.5, 3.0]}))
+ALONE = replace(HOPPER, bodies=())
+KEYS = jax.random.split(jax.random.key(0), 3)
+
+
+def built(settings, **options):
+    return settings.build(**{"engine": "c", "threads": 1, **options})
+
+
+@pytest.fixture(scope="module")
+def hopper():
+    return built(HOPPER)
+
+
+@pytest.fixture(scope="module")
+def both():
+    return built(BOTH)
+
+
+def zeros(arena, **changed):
+    acts = {agent.name: jnp.zeros((len(KEYS), agent.action_size)) for agent in arena.agents}
+    return acts | {name.replace("_", "/"): jnp.broadcast_to(jnp.asarray(a), acts[name.replace("_", "/")].shape)
+                   for name, a in changed.items()}  # fmt: skip
+
+
+@cache
+def compiled(arena):
+    """Reset, step and restart of three worlds."""
+    return tuple(jax.jit(jax.vmap(each)) for each in (arena.reset, arena.step, arena.restart))
+
+
+def played(arena, decisions, **changed):
+    """States (3 worlds) after each decision of the same actions."""
+    reset, step, _ = compiled(arena)
+    state, found = reset(KEYS), []
+    for _ in range(decisions):
+        state = step(state, zeros(arena, **changed))
+        found.append(state)
+    return found
+
+
+# Forces ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_push_moves_the_walker_and_is_bounded(hopper):
+    still, ahead, harder, up = (
+        played(hopper, 10, nature_0=push)[-1].physics.qvel[:, 0]
+        for push in ([0.0] * 4, [1, 0, 0, 0], [9, 0, 0, 0], [0, 1, 0, 0])
+    )
+    assert (ahead > still + 0.05).all()
+    np.testing.assert_array_equal(harder, ahead)
+    assert (jnp.abs(up - still) < jnp.abs(ahead - still)).all()
+
+
+def test_its_limit_is_the_larger_of_newtons_and_a_share_of_the_weight(hopper):
+    assert hopper.limit == 20.0
+    heavy = replace(HOPPER, rules=replace(SHORT, weight_share=0.2))
+    model = hopper.scene.model
+    assert built(heavy).limit == pytest.approx(0.2 * 9.81 * model.body_mass.sum())
+    push = hopper.robots["nature/0"].push
+    np.testing.assert_allclose(push.wrench(jnp.ones(4))[:, :3], [[20.0, 0.0, 20.0]] * 2)
+
+
+def test_nature_gets_the_opposite_and_pays_for_its_force(hopper):
+    verdict = played(hopper, 1, nature_0=[1.0, 1.0, 0.0, 0.0])[-1].verdict
+    for name, term in verdict.rewards.items():
+        if name != "force":
+            np.testing.assert_allclose(term[:, 0], -term[:, 1], err_msg=name)
+    np.testing.assert_allclose(verdict.rewards["force"], [[0.0, -0.1 * 0.02 * 0.5]] * 3, rtol=1e-5)
+    assert np.abs(verdict.rewards["tracking"]).max() > 0
+
+
+def test_a_fall_or_the_end_of_the_time_is_nature_s(hopper):
+    fallen = played(hopper, 51, nature_0=[-1.0, 0.0, 1.0, 0.0])[-1]
+    assert fallen.done.all()
+    np.testing.assert_array_equal(fallen.verdict.score, [[0.0, 1.0]] * 3)
+    assert fallen.verdict.terminated.all()
+    assert played(hopper, 40, blue_0=[0.0, 0.0, 0.0])[-1].verdict.events["reached"].shape == (3, 2)
+
+
+def test_an_undisturbed_walk_is_the_walk_alone(hopper):
+    alone = built(ALONE)
+    assert [team.name for team in alone.teams] == ["blue"]
+    assert alone.agents[0] == hopper.agents[0]
+    for one, other in zip(played(hopper, 8), played(alone, 8), strict=True):
+        np.testing.assert_allclose(one.physics.qpos, other.physics.qpos, atol=1e-6)
+        np.testing.assert_allclose(one.observations["blue/0"], other.observations["blue/0"], atol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["jax", "warp"])
+def test_engines_agree_on_a_disturbed_and_designed_walk(name, both):
+    acts = {"nature_0": [0.5, 1.0, -1.0, 0.2], "nature_1": [1.0, -0.5]}
+    other = built(BOTH, engine=name, worlds=3)
+    for one, found in zip(played(both, 5, **acts), played(other, 5, **acts), strict=True):
+        np.testing.assert_allclose(found.physics.qpos, one.physics.qpos, atol=1e-5)
+        np.testing.assert_allclose(found.physics.model["body_mass"], one.physics.model["body_mass"], rtol=1e-6)
+
+
+# The first decision ---------------------------------------------------------------------------------------------------
+
+
+def test_the_first_decision_sets_masses_and_friction_and_later_ones_nothing(both):
+    model, foot = both.scene.model, both.scene.model.body("blue/0/foot").id
+    first = played(both, 1, nature_1=[1.0, 5.0])[0]  # the second is clipped
+    assert first.alive.tolist() == [[True, True, False]] * 3
+    np.testing.assert_allclose(first.physics.model["body_mass"][:, foot], 3.0 * model.body_mass[foot], rtol=1e-6)
+    np.testing.assert_allclose(
+        first.physics.model["body_inertia"][:, foot][0], 3.0 * model.body_inertia[foot], rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        first.physics.model["geom_friction"][0, 1:, 0], 2.0 * model.geom_friction[1:, 0], rtol=1e-6
+    )
+    np.testing.assert_allclose(first.physics.model["geom_friction"][0, 0], model.geom_friction[0], rtol=1e-6)
+    np.testing.assert_allclose(first.game.factors, [[2.0, 3.0]] * 3)
+    np.testing.assert_allclose(first.observations["nature/0"][:, -2:], [[2.0, 3.0]] * 3)
+    _, step, restart = compiled(both)
+    again = step(first, zeros(both, nature_1=[-1.0, -1.0]))
+    for name, field in again.physics.model.items():
+        np.testing.assert_array_equal(field, first.physics.model[name], err_msg=name)
+    begun = restart(again, KEYS, jnp.array([True, False, False]))
+    assert begun.alive.tolist() == [[True, True, True], [True, True, False], [True, True, False]]
+    np.testing.assert_allclose(begun.physics.model["body_mass"][0], model.body_mass, rtol=1e-6)
+
+
+def test_a_heavier_foot_changes_the_walk(both):
+    light, heavy = (played(both, 10, blue_0=[0.3, -0.3, 0.3], nature_1=[0.0, mass])[-1] for mass in (-1.0, 1.0))
+    assert np.abs(light.physics.qpos - heavy.physics.qpos).max() > 1e-3
+
+
+def test_what_was_set_is_told_to_recordings(both, hopper):
+    actions = {agent.name: np.zeros(agent.action_size) for agent in both.agents} | {"nature/1": np.array([-1.0, 9.0])}
+    assert both.describe_design(actions) == "nature/1 sets friction 0.5, foot 3"
+    assert hopper.describe_design(actions) == ""
+
+
+def test_a_field_that_randomise_does_not_draw_is_told():
+    arena = built(BOTH)
+    arena.design = lambda physics, game: (physics.qpos, physics.qvel, {"dof_damping": jnp.zeros(6)})
+    with pytest.raises(ArenaError, match=r"^design sets dof_damping: return the model's values in randomise too"):
+        jax.eval_shape(
+            lambda key: arena.step(arena.reset(key), {a.name: jnp.zeros(a.action_size) for a in arena.agents}), KEYS[0]
+        )
+
+
+# Settings -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"bodies": ("nose",)}, "bodies: hopper has no body nose; it has torso, thigh, leg, foot"),
+        ({"bodies": ("torso", "base")}, "bodies: torso is named twice"),
+        ({"design": Table({"nose": [0.5, 2.0]})}, "design: hopper has no body nose; it has torso, thigh, leg, foot"),
+    ],
+)
+def test_bodies_that_are_not_there_are_told_in_one_line(changed, message):
+    with pytest.raises(ArenaError) as told:
+        built(replace(HOPPER, **changed))
+    assert str(told.value) == message
+
+
+def test_bounds_and_bodies_are_part_of_the_configuration_hash(hopper, both):
+    other = built(replace(BOTH, design=Table({"friction": [0.5, 1.5], "foot": [0.5, 3.0]})))
+    foot = built(replace(HOPPER, bodies=("foot",)))
+    assert len({each.config_hash for each in (hopper, both, other, foot)}) == 4
+
+
+def test_a_robot_that_moves_in_a_plane_plays_nowhere_else():
+    with pytest.raises(ValueError, match=r"^blue: hopper moves in a plane alone, and plays in arena disturbance only$"):
+        RobotWalkSettings(blue=("hopper",))
+
+
+# Planar bases ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["hopper", "walker2d", "half_cheetah"])
+def test_a_planar_base_is_where_mujoco_has_it(name):
+    arena = built(replace(HOPPER, blue=(name,), bodies=("base",)))
+    model, at = arena.scene.model, arena.scene.agents["blue/0"]
+    rng, data = np.random.default_rng(0), mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = rng.uniform(-0.7, 0.7, model.nq), rng.uniform(-1, 1, model.nv)
+    mujoco.mj_forward(model, data)
+    qpos = jnp.asarray(data.qpos, jnp.float32)
+    np.testing.assert_allclose(at.pose(qpos)[:3], data.xpos[at.base], atol=1e-6)
+    np.testing.assert_allclose(at.pose(qpos)[3:], data.xquat[at.base], atol=1e-6)
+    moves = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, at.base, moves, 0)
+    np.testing.assert_allclose(at.velocity(jnp.asarray(data.qvel, jnp.float32)), [*moves[3:], *moves[:3]], atol=1e-6)
+    feet = [f"blue/0/{foot}" for foot in arena.robot.feet]
+    low = HeightReader(model, at.base, feet).read(qpos)
+    for height, foot in zip(low.feet, feet, strict=True):
+        geom = int(np.flatnonzero(model.geom_bodyid == model.body(foot).id)[0])
+        up = data.geom_xmat[geom].reshape(3, 3)[2, 2]
+        radius, half = model.geom_size[geom, :2]
+        assert float(height) == pytest.approx(data.geom_xpos[geom, 2] - radius - half * abs(up), abs=1e-5)
+
+
+def test_a_planar_walker_is_the_model_s_own():
+    """Total mass and joint order of gymnasium's hopper, and free fall of its base."""
+    arena = built(ALONE)
+    model = arena.scene.model
+    assert model.body_mass.sum() == pytest.approx(15.8, abs=0.05)
+    assert [model.joint(i).name for i in range(6)] == [
+        f"blue/0/{name}" for name in ("base_x", "base_z", "base_pitch", "thigh_joint", "leg_joint", "foot_joint")
+    ]
+    data = mujoco.MjData(model)
+    data.qpos[1] = 5.0
+    mujoco.mj_step(model, data, 20)
+    assert data.qvel[1] == pytest.approx(-9.81 * 0.1, rel=1e-3)
