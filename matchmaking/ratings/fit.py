@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from matchmaking.ratings import priors, undefeated
-from matchmaking.ratings.covariance import StrengthCovariance
-from matchmaking.ratings.davidson import Likelihood, Outcome, davidson, expected_score, maximise
+from matchmaking.ratings.davidson import Likelihood, Outcome, expected_score
+from matchmaking.ratings.likelihoods.covariance import StrengthCovariance
+from matchmaking.ratings.likelihoods.penalised import maximise
 from matchmaking.ratings.payoff import PAIR_SCORES, Payoff, quantile
 from matchmaking.ratings.priors import Prior
 
@@ -97,7 +98,7 @@ class Ratings:
     @property
     def covariance(self) -> np.ndarray:
         """Covariance (P, P) in Elo² of differences to the mean of all anchors; too large for many thousands."""
-        return ELO**2 * self.strength_covariance.whole[:-2, :-2]
+        return ELO**2 * self.strength_covariance.whole[: len(self.names), : len(self.names)]
 
     def covariances(self, i: int) -> np.ndarray:
         """Return the row (P,) of i in `covariance`."""
@@ -211,7 +212,7 @@ def fit(
     labels, population, weights = _anchor_weights(payoff, anchors, populations or {})
     problem = Likelihood.of(payoff, chosen_prior, sides)
     x = maximise(problem) if chosen_prior.any() or not P else undefeated.maximum(problem, payoff)
-    terms = davidson(*problem.linear(x))
+    terms = problem.terms(x)
     common = weights.mean(0)
     dispersion = _dispersion(payoff, terms, clusters or Clusters.of(payoff))
     strength_covariance = StrengthCovariance(problem, x, terms, dispersion, common)

@@ -75,7 +75,7 @@ def find_separation(problem: Likelihood) -> Separation:
     """Find every direction in which the likelihood of the games has no maximum; the prior is left out."""
     seen = problem.counts.any(1)
     home, away, counts = problem.home[seen], problem.away[seen], problem.counts[seen] > 0
-    size, side_identifiable = problem.size, bool(problem.free[-2])
+    size, side_identifiable = problem.size, bool(problem.free[problem.size])
     island = islands(size, home, away)
     won, lost = counts[:, :2].any(1), counts[:, 1:].any(1)  # home has taken points, and away has
     ford = graph_algorithms.strong_components(

@@ -16,8 +16,8 @@ from league.config.durations import check_duration
 from league.config.schema import ConfigError
 from league.queries.ratings import unbounded_fits
 from matchmaking.ratings import priors
-from matchmaking.ratings.davidson import NotConverged
 from matchmaking.ratings.fit import Ratings, fit
+from matchmaking.ratings.likelihoods.penalised import NotConverged
 from matchmaking.ratings.separation import Separation
 from matchmaking.ratings.undefeated import Unbounded
 
