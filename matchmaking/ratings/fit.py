@@ -15,7 +15,7 @@ import numpy as np
 from matchmaking.ratings import priors, undefeated
 from matchmaking.ratings.davidson import Likelihood, Outcome, expected_score
 from matchmaking.ratings.likelihoods.covariance import StrengthCovariance
-from matchmaking.ratings.likelihoods.penalised import maximise
+from matchmaking.ratings.likelihoods.penalised import PenalisedLikelihood, maximise
 from matchmaking.ratings.payoff import PAIR_SCORES, Payoff, quantile
 from matchmaking.ratings.plackett_luce import PlackettLuce
 from matchmaking.ratings.priors import Prior
@@ -213,8 +213,7 @@ def fit(
     z, P = quantile(confidence), len(payoff.names)
     chosen_prior = _prior(payoff, prior)
     labels, population, weights = _anchor_weights(payoff, anchors, populations or {})
-    ranked = bool(payoff.rankings)
-    problem = PlackettLuce(payoff.rankings, P, chosen_prior) if ranked else Likelihood.of(payoff, chosen_prior, sides)
+    ranked, problem = bool(payoff.rankings), likelihood(payoff, chosen_prior, sides)
     x = maximise(problem) if chosen_prior.any() or not P else undefeated.maximum(problem, payoff)
     terms = problem.terms(x)
     common = weights.mean(0)
@@ -233,6 +232,13 @@ def fit(
         populations=labels, population=population, anchors=weights, population_offsets=means - common @ theta,
         quantile=z, ties=problem.ties(x) if isinstance(problem, PlackettLuce) else {},
     )  # fmt: skip
+
+
+def likelihood(payoff: Payoff, prior: Prior, sides: bool = True) -> PenalisedLikelihood:
+    """Return the likelihood of a payoff's rankings, or of its games of two if it has none."""
+    if payoff.rankings:
+        return PlackettLuce(payoff.rankings, len(payoff.names), prior)
+    return Likelihood.of(payoff, prior, sides)
 
 
 def _prior(payoff: Payoff, prior: Prior | float) -> Prior:

@@ -18,7 +18,7 @@ from league.queries.ratings import unbounded_fits
 from matchmaking.ratings import priors
 from matchmaking.ratings.fit import Ratings, fit
 from matchmaking.ratings.likelihoods.penalised import NotConverged
-from matchmaking.ratings.separation import Separation
+from matchmaking.ratings.separation import Separation, examined
 from matchmaking.ratings.undefeated import Unbounded
 
 PRIOR = 4.0
@@ -83,7 +83,7 @@ def rate(args: list[str]) -> int:
     source = text_files.STDIN if options.file == "-" else options.file
     arena = None if options.arena is None else text_files.composed(options.arena)
     log = csv_log.sums(csv_log.choose(csv_log.read(options.file), arena, source))
-    found = unbounded_fits.examined(log.payoff, not options.no_side)
+    found = examined(log.payoff, not options.no_side)
     ratings = _fitted(log, found, options, source)
     without = "" if options.no_side else "--no-side"
     warnings = unbounded_fits.warnings(found, log.payoff, "side A", _held(options), without, own=True)
@@ -119,7 +119,7 @@ def _fitted(log: csv_log.Log, found: Separation, options: RateOptions, source: s
         )  # fmt: skip
     except Unbounded as error:
         cure = "give --prior above 0"
-        if found.side and unbounded_fits.examined(log.payoff, False).finite:
+        if found.side and examined(log.payoff, False).finite:
             cure = "use --no-side if the log names the winner first"
         raise ConfigError(
             ("prior",), f"{source}: {error}; that has no finite rating without a prior: {cure}"

@@ -5,19 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from matchmaking.ratings import priors, separation
-from matchmaking.ratings.davidson import Likelihood
 from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.payoff import Payoff
-from matchmaking.ratings.separation import Separation
+from matchmaking.ratings.separation import Separation, examined
 
 LISTED = 5
 """Most names in a sentence: JSON and CSV have all."""
-
-
-def examined(payoff: Payoff, sides: bool = True) -> Separation:
-    """Find the parameters of a fit of this payoff that have no finite value without a prior."""
-    return separation.find_separation(Likelihood.of(payoff, priors.none(), sides))
 
 
 def as_object(found: Separation, names: Sequence[str]) -> dict[str, Any]:
