@@ -41,6 +41,9 @@ class Clusters(NamedTuple):
         return cls(edge, one, one, 2 * PAIR_SCORES[score], payoff.pairs[edge, score].astype(float))
 
 
+NO_CLUSTERS = Clusters(np.zeros(0, int), *(np.zeros(0) for _ in range(4)))
+
+
 @dataclass(frozen=True, eq=False)
 class Ratings:
     """Ratings of P snapshots, in the order of the payoff.

@@ -275,6 +275,14 @@ def sum_matches(
     return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, key, rankings)
 
 
+def rankings_payoff(names: tuple[str, ...], rankings: Rankings) -> Payoff:
+    """Return the payoff of rankings of players with these names, which are sorted."""
+    first, second, games = rankings.pairs(len(names))
+    E, P = len(first), len(names)
+    away, pairs, voids, at_fault, trials = (np.zeros(shape, int) for shape in ((E, 3), (E, 5), E, (E, 2), (P, 4)))
+    return Payoff(names, first, second, games, away, pairs, voids, at_fault, trials, np.zeros(P), None, rankings)
+
+
 def _arenas(matches: Sequence[Match | RankedMatch] | MatchTotals) -> set[ArenaKey]:
     return {matches.arena} if isinstance(matches, MatchTotals) else {match.arena for match in matches}
 

@@ -95,7 +95,9 @@ def _side(found: Separation, payoff: Payoff, first: str, held: str, without_side
 def _draw(payoff: Payoff, held: str, own: bool, cured: bool) -> str:
     games = np.concatenate([payoff.home, payoff.away])
     drawn, decided = games[:, 1] > 0, games[:, [0, 2]].any(1)
-    if not decided.any():
+    if payoff.rankings and decided.any():
+        why = "strengths explain which players were tied"
+    elif not decided.any():
         why = "every game was drawn"
     elif not (drawn & decided).any():
         why = "in each pairing every game was drawn, or none"
@@ -107,7 +109,7 @@ def _draw(payoff: Payoff, held: str, own: bool, cured: bool) -> str:
     if cured:
         return f"{said} Without a side advantage it has one."
     return f"{said} Further games of the same pairings would tell" + (
-        ", or rate the decided games alone (draws as 0)." if own else "."
+        ", or rate the decided games alone (draws as 0)." if own and not payoff.rankings else "."
     )
 
 
