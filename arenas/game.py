@@ -133,9 +133,7 @@ class Game(ABC):
         """
         return {}
 
-    def exchange(
-        self, qpos: Array, qvel: Array, game: Any, order: Sequence[int] = (1, 0)
-    ) -> tuple[Array, Array, Any]:
+    def exchange(self, qpos: Array, qvel: Array, game: Any, order: Sequence[int] = (1, 0)) -> tuple[Array, Array, Any]:
         """Return the same situation with exchangeable teams in other places: team i in that of team `order[i]`.
 
         `order` is a permutation of the teams that moves only teams of equal rosters; of two teams it is always (1, 0).

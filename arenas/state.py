@@ -49,8 +49,8 @@ class Verdict(NamedTuple):
     `terminated`: the game is over and the future has no value. `truncated`: the game was cut off and the future still
     has value. If neither holds, `score` is ignored. With three and more teams it may be any finite numbers: they rank
     the teams, the largest first, and equal numbers are a tie. Names of terms and events are the same in every verdict
-    of an arena. In a `State`, terms are summed over the decision's control steps, and an event is true if it happened in any
-    of them.
+    of an arena. In a `State`, terms are summed over the decision's control steps, and an event is true if it happened
+    in any of them.
     """
 
     rewards: dict[str, Array]  # name -> (teams,) rewards of the outcome; they sum to `reward`

@@ -25,7 +25,7 @@ from arenas.arena import Arena
 from arenas.contract.check_run import CLOSE, WORLDS, CheckRun, difference
 from arenas.physics.engine import VARIABLE
 from arenas.rosters import bare
-from arenas.state import State, Verdict, mean_pairwise_score
+from arenas.state import State, Verdict
 
 EXCHANGES = 8  # per episode, besides those before a decision in which a world ends
 EPISODES = 8  # of WORLDS worlds at most
@@ -142,7 +142,6 @@ class _ExchangedWorlds:
         alive, original = self._see(state)
         return state._replace(alive=alive), original
 
-
     def _verdicts(self, ours: Verdict, theirs: Verdict, worlds: np.ndarray) -> str:
         """Describe a verdict in these `worlds` (WORLDS,) bool that a team got and the one in its place did not."""
         ends = [np.asarray(each.terminated | each.truncated) for each in (ours, theirs)]
@@ -183,14 +182,15 @@ def _difference(pairs: Mapping[str, tuple[Any, Any]], worlds: np.ndarray) -> str
 
 def _scores(run: CheckRun, last: State) -> str:
     """Describe a side on which one policy scores better than on the other, in ended worlds; empty if there is none."""
-    points: dict[int, list[float]] = {team: [] for equal in exchangeable(run.arena) for team in equal}
+    points: dict[tuple[int, int], list[float]] = {
+        (equal[0], other): [] for equal in exchangeable(run.arena) for other in equal[1:]
+    }
     for number in range(1, EPISODES + 1):
         ended = np.asarray(last.done & ~last.void)
-        for equal in exchangeable(run.arena):
-            score = mean_pairwise_score(np.asarray(last.verdict.score)[ended][:, equal])
-            for team, own in zip(equal, score.T, strict=True):
-                points[team] += (own - 0.5).tolist()
-        chances = {team: sign_test(own) for team, own in points.items()}
+        score = np.asarray(last.verdict.score)[ended]
+        for (one, other), own in points.items():
+            own += (0.5 * np.sign(score[:, one] - score[:, other])).tolist()
+        chances = {pair: sign_test(own) for pair, own in points.items()}
         one_sided = any(len({point > 0 for point in own if point}) == 1 for own in points.values())
         if min(chances.values()) > P_PLAY_ON and not one_sided:
             return ""
@@ -198,11 +198,12 @@ def _scores(run: CheckRun, last: State) -> str:
             break
         if number < EPISODES:
             last = _last(_play(run, number))
-    team = min(chances, key=chances.__getitem__)
-    if chances[team] >= P_UNEQUAL:
+    pair = min(chances, key=chances.__getitem__)
+    if chances[pair] >= P_UNEQUAL:
         return ""
-    name, mean, games = run.arena.teams[team].name, np.mean(points[team]) + 0.5, len(points[team])
-    return f"one policy in all teams scores {mean:.0%} as {name} in {games} games: the sides are unequal"
+    one, other = (run.arena.teams[team].name for team in pair)
+    mean, games = np.mean(points[pair]) + 0.5, len(points[pair])
+    return f"one policy in all teams scores {mean:.0%} as {one} against {other} in {games} games: the sides are unequal"
 
 
 def sign_test(points: list[float]) -> float:

@@ -22,7 +22,10 @@ def no_memory(worlds: int) -> tuple[()]:
 
 
 class Opponent(NamedTuple):
-    """The players of a team, or of several, in all worlds N. Programs are compiled once for each `act` and each shape of `params`."""
+    """The players of a team, or of several, in all worlds N.
+
+    Programs are compiled once for each `act` and each shape of `params`.
+    """
 
     # (params, observations (N, obs) by agent name, keys (N,), memory, first (N,) bool: an episode begins)
     # -> actions (N, act) by agent name, memory
