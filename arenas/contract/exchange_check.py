@@ -185,6 +185,7 @@ def _scores(run: CheckRun, last: State) -> str:
     points: dict[tuple[int, int], list[float]] = {
         (equal[0], other): [] for equal in exchangeable(run.arena) for other in equal[1:]
     }
+    chances: dict[tuple[int, int], float] = {}
     for number in range(1, EPISODES + 1):
         ended = np.asarray(last.done & ~last.void)
         score = np.asarray(last.verdict.score)[ended]
