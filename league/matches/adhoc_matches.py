@@ -16,6 +16,7 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError
 from league.queries.query import Open
+from league.scheduling.progress_metrics import can_meet
 from league.state.jobs import RatingMatch, encode
 from league.state.team_exchange import as_made
 from storage.records import ArenaKey, Match, Purpose, RankedMatch, Snapshot
@@ -103,7 +104,11 @@ def pairing(opened: Open, a: str, b: str | None = None, *others: str) -> Pairing
         elif len(found) == 1:
             why = f"has several teams: name {'two' if len(rosters) == 2 else len(rosters)} snapshots"
         raise ConfigError((), f"league {opened.league} {why}")
-    if len(found) > 1 and Counter(s.roster for s in found) != Counter(rosters.values()):
+    if len(found) == 2:
+        fit = can_meet(*found, players)
+    else:
+        fit = len(found) == 1 or Counter(s.roster for s in found) == Counter(rosters.values())
+    if not fit:
         named, sides = " and ".join(f"{s.name} ({s.roster})" for s in found), "two" if len(found) == 2 else len(found)
         raise ConfigError(
             (), f"{named} cannot sit on {sides} sides of league {opened.league}'s arena: `league snapshots --format"

@@ -58,7 +58,7 @@ def _outcome(score: np.ndarray, void: bool, sides: Sequence[Snapshot], teams: Se
         return f"{sides[0].name} {'succeeds' if score[0] > 0.5 else 'fails'}"
     if score.min() == score.max():
         return "draw"
-    first = np.flatnonzero(score == score.max())
+    first = np.flatnonzero(score == score.max()).tolist()
     if len(first) > 1:
         return f"{' and '.join(f'{sides[i].name} as {teams[i]}' for i in first)} tie ahead of the others"
     return f"{sides[first[0]].name} wins as {teams[first[0]]}"

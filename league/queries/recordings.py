@@ -159,7 +159,7 @@ def _best(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | Ranke
 
 
 def _upset(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | RankedMatch:
-    """Return the recorded match with the winner rated furthest below the best of the others, by the ratings known now."""
+    """Return the recorded match whose winner was rated furthest below another, by the ratings known now."""
     key = matches[-1].arena
     ladder = opened.ladder(key)
     strength = _strength(ladder)

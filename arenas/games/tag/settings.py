@@ -14,7 +14,7 @@ from arenas.games.terms import RewardTerms, WithTerms, with_terms
 if TYPE_CHECKING:
     from arenas.games.tag.match import Tag
 
-TEAMS = ("blue", "red", "green", "yellow", "purple", "orange", "cyan", "white")
+TEAMS = ("blue", "red", "green", "yellow", "purple", "orange", "grey", "white")
 KIND = "puck"
 ACTION_SIZE = 2  # numbers in an action
 OWN_SIZE = 8  # numbers that a puck observes of itself and of the game
