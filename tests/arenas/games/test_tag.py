@@ -150,7 +150,7 @@ def test_three_teams_that_cannot_change_places_fail_the_check(arena, says):
 
 def test_more_pucks_need_a_wider_field():
     assert len(replace(TagSettings(), teams=8).build(engine="c").teams) == 8
-    with pytest.raises(ValueError, match="too narrow for 8 pucks of radius 0.1 m to start apart; it must be 1.21 m"):
+    with pytest.raises(ValueError, match=r"too narrow for 8 pucks of radius 0\.1 m to start apart; it must be 1\.21 m"):
         TagSettings(teams=8, rules=TagRules(side=1.0))
 
 
