@@ -1,16 +1,16 @@
-"""Tag, free for all: whoever is "it" for the least time wins.
+"""Tag, free for all: all chase the one that is "it", and whoever is "it" for the longest time wins.
 
-| term of the reward | when                          | "it"              | the others                     |
-|--------------------|-------------------------------|-------------------|--------------------------------|
-| rank               | time is up                    | from +rank for the first to -rank for the last     |
-| it                 | every control step            | -it × seconds     | +it × seconds, shared          |
-| approach (hint)    | every control step            | +approach × metres nearer to the nearest other     |
-|                    |                               |                   | +approach × metres farther off |
+| term of the reward | when                | "it"                               | the others                        |
+|--------------------|---------------------|------------------------------------|-----------------------------------|
+| rank               | time is up          | from +rank for the first to -rank for the last, whoever is "it" then   |
+| it                 | every control step  | +it × seconds                      | -it × seconds, shared             |
+| approach (hint)    | every control step  | +approach × metres gained on the   | +approach × metres nearer to "it" |
+|                    |                     | nearest other                      |                                   |
 
-Events: `tag` of the puck that touched, `tagged` of the puck that is "it" from then on.
+Events: `tag` of the puck that touched "it" and is "it" from then on, `tagged` of the one that was.
 
-Who is "it" first is drawn. A touch passes it on; for a while after it no touch counts, so that the puck that was "it"
-can get away. The clock is a rule: its end is terminal, and it is observed.
+Who is "it" first is drawn. For a while after a touch none counts, so that the new one can get away. The clock is a
+rule: its end is terminal, and it is observed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ HEIGHT = 0.12  # m, of walls
 
 
 class GameState(NamedTuple):
-    """Who is "it", and the time of each as "it"."""
+    """The puck that is "it", and the time of each as "it"."""
 
     it: Array  # () int32, a team's number
     held: Array  # (teams,) int32, control steps as "it"
@@ -45,7 +45,7 @@ class GameState(NamedTuple):
 
 
 class Tag(Arena):
-    """Pucks that touch each other, each a team of its own."""
+    """Pucks that chase each other, each a team of its own."""
 
     exchangeable = True
 
@@ -75,10 +75,10 @@ class Tag(Arena):
     def legend(self) -> Legend:
         """Describe the verdict; the notes of the weights describe the terms."""
         return Legend(
-            score='minus the seconds as "it": the least time wins, and equal times are a tie',
+            score='seconds as "it": the longest time wins, and equal times are a tie',
             rewards={"rank": "", "it": ""},
             shapings={"approach": ""},
-            events={"tag": 'as "it" it touched another', "tagged": 'it was touched and is "it"'},
+            events={"tag": 'it touched "it" and is "it" now', "tagged": 'it was touched and is "it" no more'},
         )
 
     # Rules -----------------------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ class Tag(Arena):
         return qpos, qvel, game._replace(it=jnp.argmax(from_team == game.it), held=game.held[from_team])
 
     def judge(self, before: Physics, physics: Physics, game: GameState) -> tuple[GameState, Verdict]:
-        """Count the step for the puck that is "it", and pass it on to the nearest one if it is touched."""
+        """Count the step for the puck that is "it"; the nearest one that touches it is "it" next."""
         rules, w, teams = self.rules, self.weights, jnp.arange(self.number)
         is_it = teams == game.it
         was, now = self._gaps(before, game.it), self._gaps(physics, game.it)
@@ -115,10 +115,10 @@ class Tag(Arena):
         next_it = jnp.argmin(now).astype(jnp.int32)
         held = game.held + is_it
         over = physics.time > rules.episode - self.timing.control_interval / 2
-        score = -held * jnp.float32(self.timing.control_interval)
+        score = held * jnp.float32(self.timing.control_interval)
         ahead = 2 * mean_pairwise_score(score) - 1
-        due = jnp.where(is_it, -1.0, 1 / (self.number - 1)) * self.timing.control_interval
-        gained = jnp.where(is_it, was.min() - now.min(), jnp.where(is_it, 0.0, now - was))
+        due = jnp.where(is_it, 1.0, -1 / (self.number - 1)) * self.timing.control_interval
+        gained = jnp.where(is_it, now.min() - was.min(), jnp.where(is_it, 0.0, was - now))
         after = GameState(
             jnp.where(tags, next_it, game.it), held,
             jnp.where(tags, physics.time + rules.immunity, game.counts_from),
@@ -129,7 +129,7 @@ class Tag(Arena):
             score=score,
             terminated=over,
             truncated=jnp.zeros((), bool),
-            events={"tag": tags & is_it, "tagged": tags & (teams == next_it)},
+            events={"tag": tags & (teams == next_it), "tagged": tags & is_it},
         )
 
     def _gaps(self, physics: Physics, it: Array) -> Array:

@@ -1,8 +1,8 @@
 """Scripts of tag: anchors for the ratings.
 
-- `chaser`: as "it" it moves to where the nearest other puck will be; otherwise it rests.
-- `runner`: as long as another is "it", it chooses among 16 directions the one in which it stays farthest from that
-  puck over the next second; as "it" it rests.
+- `chaser`: moves to where the puck that is "it" will be; as "it" it rests.
+- `runner`: as "it" it chooses among 16 directions the one in which it stays farthest from the others over the next
+  second, if these come straight at it; otherwise it rests.
 - `tagger`: does both.
 """
 
@@ -27,19 +27,18 @@ def of_game(rules: TagRules) -> Mapping[str, Mapping[str, Script]]:
     """Return the scripts by name and robot kind."""
 
     def chase(view: TagView) -> Array:
-        away = jnp.sqrt(jnp.sum(view.gaps[0] ** 2))
-        return _unit(view.gaps[0] + view.velocities[0] * jnp.minimum(away / rules.speed, LEAD))
+        it = jnp.argmax(view.others_it)
+        away = jnp.sqrt(jnp.sum(view.gaps[it] ** 2))
+        return _unit(view.gaps[it] + view.velocities[it] * jnp.minimum(away / rules.speed, LEAD))
 
     def flee(view: TagView) -> Array:
-        it = jnp.argmax(view.others_it)
         room = rules.side / 2 - rules.radius
         paths = view.position + rules.speed * MOMENTS[:, None, None] * DIRECTIONS  # (moments, 16, 2)
         paths = jnp.clip(paths, -room, room)
-        way = view.gaps[it]
-        away = jnp.sqrt(jnp.sum(way**2))
-        followed = jnp.minimum(rules.speed * MOMENTS, away)[:, None]
-        pursuer = view.position + way - followed * _unit(way)  # (moments, 2): it comes straight here
-        gaps = jnp.sqrt(jnp.sum((paths - pursuer[:, None]) ** 2, axis=-1))
+        away = jnp.sqrt(jnp.sum(view.gaps**2, axis=-1, keepdims=True))  # (others, 1)
+        left = jnp.maximum(0.0, away - rules.speed * MOMENTS) / jnp.maximum(away, 1e-6)  # (others, moments)
+        pursuers = view.position + view.gaps[:, None] * left[..., None]  # (others, moments, 2)
+        gaps = jnp.sqrt(jnp.sum((paths - pursuers[:, :, None]) ** 2, axis=-1)).min(axis=0)  # (moments, 16)
         return jnp.asarray(DIRECTIONS)[jnp.argmax(gaps.min(axis=0) + 0.1 * gaps[-1])]
 
     def rest(view: TagView) -> Array:
@@ -52,7 +51,7 @@ def of_game(rules: TagRules) -> Mapping[str, Mapping[str, Script]]:
 
         return act
 
-    found = {"chaser": script(chase, rest), "runner": script(rest, flee), "tagger": script(chase, flee)}
+    found = {"chaser": script(rest, chase), "runner": script(flee, rest), "tagger": script(flee, chase)}
     return {name: {KIND: act} for name, act in found.items()}
 
 

@@ -47,12 +47,12 @@ class TagReward(RewardTerms):
     """Rewards, which shape learning and never decide a game."""
 
     rank: float = 1.0
-    """At the end: from +1 for less time as "it" than all others to -1 for more than all others."""
+    """At the end: from +1 for more time as "it" than all others to -1 for less than all others."""
     it: float = 0.1
-    """Per second: from the puck that is "it"; the others share it."""
+    """Per second: to the puck that is "it"; the others share the loss."""
     approach: float = 0.3
-    """Shaping: to "it" per metre by which it approached the nearest other puck; to the others per metre that they
-    gained on it."""
+    """Shaping: to "it" per metre that it gained on the nearest other puck; to the others per metre by which they
+    approached it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class TagSettings(WithTerms):
 
     def outline(self) -> Outline:
         """Summarise the game."""
-        what = f'be "it" for the least time: {self.teams} pucks in a walled field of {self.rules.side:g} m'
+        what = f'be "it" for the longest time: {self.teams} pucks in a walled field of {self.rules.side:g} m'
         seats = (AgentOutline(KIND, self.observation_size, ACTION_SIZE),)
         return Outline(what, dict.fromkeys(TEAMS[: self.teams], seats), self.timing, "tag")
 
