@@ -226,7 +226,8 @@ def _galaga(size: str) -> tuple[Stage, ...]:
 
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
-    "quickstart": quickstart, "duel": duel, "tag": tag, "selfplay": selfplay, "leapfrog": leapfrog, "alphastar": alphastar,
+    "quickstart": quickstart, "duel": duel, "tag": tag, "selfplay": selfplay, "leapfrog": leapfrog,
+    "alphastar": alphastar,
     "psro": psro, "openai-five": openai_five, "delta-uniform": delta_uniform, "harl_a": harl_a,
     "sumo-by-team": by_team, "sumo-within-team": within_team,
     "soccer-1v1": soccer_1v1, "soccer-2v2": soccer_2v2, "galaga-1v1": galaga_1v1, "galaga-2v2": galaga_2v2,

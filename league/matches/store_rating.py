@@ -107,4 +107,4 @@ def _lineups(state: LeagueState, players: list[Snapshot], quota: int, room: int)
             kinds={s.name: f"roster {s.roster}" for s in players},
         )  # fmt: skip
         quota *= 2
-    return complete(found, among)
+    return complete(found, among, quota)

@@ -133,7 +133,9 @@ def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[L
             kinds={s.name: f"roster {s.roster}" for s in state.snapshots},
         )  # fmt: skip
         met = {frozenset(lineup) for lineup in found}
-        found += [lineup for lineup in complete(pool, state) if frozenset(lineup) not in met]
+        found += [
+            lineup for lineup in complete(pool, state, config.rating.episodes_per_pair) if frozenset(lineup) not in met
+        ]
     return found[:room]
 
 

@@ -24,6 +24,10 @@ def trio(*iterations: int, players=TRIO):
     return league_state(players=players, snapshots=found)
 
 
+def played(lineup, episodes=10**4) -> RankedMatch:
+    return RankedMatch("quickstart", KEY, lineup, {(1, 2, 3): episodes // 2, (3, 2, 1): episodes // 2}, 0, (0, 0, 0), 1)
+
+
 def test_pairs_of_two_teams_stay_as_they_are():
     state = league_state(snapshots=snapshots(0, 4))
     pairs = [("blue@4", "red@4"), ("red@4", "blue@4"), ("blue@0", "pusher")]
@@ -41,6 +45,13 @@ def test_the_other_seats_go_to_the_newest_of_others_after_the_first_of_the_pair(
     assert complete(pairs, trio(0, 4)) == wanted
 
 
+def test_with_a_pair_of_the_pool_those_sit_who_have_played_least():
+    state, log = trio(0, 4), [played(("blue@4", "red@4", "green@4"), 64), played(("blue@0", "red@4", "green@4"), 32)]
+    state = replace(state, ladder=Ladder([s.name for s in state.snapshots], log))
+    pairs = [("blue@4", "red@0"), ("blue@4", "green@0")]  # red@0 has played nothing, and after the first green@0 too
+    assert complete(pairs, state, quota=128) == [("blue@4", "red@0", "green@0"), ("blue@4", "green@0", "blue@0")]
+
+
 def test_a_snapshot_sits_where_its_roster_fits_and_no_lineup_has_it_twice():
     state = trio(0, 4, players=ALONE)
     assert complete([("green@4", "red@0")], state) == [("red@0", "blue@4", "green@4")]
@@ -51,10 +62,6 @@ def test_a_thinned_snapshot_completes_nothing():
     state = trio(4)
     gone = [replace(s, thinned=1.0 if s.name == "green@4" else None) for s in state.snapshots]
     assert complete([("blue@4", "red@4")], replace(state, snapshots=gone)) == []
-
-
-def played(lineup, episodes=10**4) -> RankedMatch:
-    return RankedMatch("quickstart", KEY, lineup, {(1, 2, 3): episodes // 2, (3, 2, 1): episodes // 2}, 0, (0, 0, 0), 1)
 
 
 def test_rating_jobs_carry_lineups_until_every_pair_has_met_enough():
