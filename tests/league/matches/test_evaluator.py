@@ -170,7 +170,7 @@ P, Q, R = (Snapshot("tiny", name, f"digest of {name}", "puck:20:2") for name in 
 @pytest.fixture(scope="module")
 def three():
     config = presets.tag()
-    config = replace(config, rating=replace(config.rating, worlds=14, pairings=2, record=False))
+    config = replace(config, rating=replace(config.rating, worlds=12, pairings=2, record=False))
     return MatchEvaluator(config, config.arena.build(engine="c", threads=1), "tiny")
 
 
