@@ -47,7 +47,7 @@ class TagReward(RewardTerms):
     """Rewards, which shape learning and never decide a game."""
 
     rank: float = 1.0
-    """At the end: from +1 for more time as "it" than all others to -1 for less than all others."""
+    """At the end: to the first; the last gets its negative, and those between them equal steps."""
     it: float = 0.1
     """Per second: to the puck that is "it"; the others share the loss."""
     approach: float = 0.3
