@@ -105,7 +105,7 @@ def pairing(opened: Open, a: str, b: str | None = None, *others: str) -> Pairing
             why = f"has several teams: name {'two' if len(rosters) == 2 else len(rosters)} snapshots"
         raise ConfigError((), f"league {opened.league} {why}")
     if len(found) == 2:
-        fit = can_meet(*found, players)
+        fit = can_meet(found[0], found[1], players)
     else:
         fit = len(found) == 1 or Counter(s.roster for s in found) == Counter(rosters.values())
     if not fit:
