@@ -32,6 +32,7 @@ MODULES = (
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",
+    "arenas.games.tag",
     "arenas.games.matrix",
 )
 
@@ -97,7 +98,7 @@ def vector(
         team: the team that learns, e.g. `blue`.
         opponent: player of the other team, none in an arena of one team: the name of a script, `league.opponent(...)`
             for a snapshot or a policy's file, or a function in JAX: ({agent: observation (obs,)}, key) -> {agent:
-            action (act,)}.
+            action (act,)}. With several other teams it plays each of them; {team: player} names one for each.
         num_envs: rows of the batch.
         options: `agents`: "joint", where a row is a world and has all observations and actions of the team, one agent
             after the other, or "shared", where each agent of a team of equal robots is a row of its own; `arrays`:

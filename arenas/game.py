@@ -38,9 +38,9 @@ class Game(ABC):
     """
 
     exchangeable: bool = False
-    """True if two teams of equal agents can change places without changing the game. A game declares it for its class
-    or in its constructor, and `league check` tests it. Otherwise equal teams count as unlike: sides are not swapped,
-    and each team has a ladder of its own."""
+    """True if teams of equal agents can change places without changing the game. A game declares it for its class or in
+    its constructor, and `league check` tests it. Otherwise equal teams count as unlike: sides are not swapped, and each
+    team has a ladder of its own."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Game(ABC):
     ):
         """Build the game's scene and engine.
 
-        `robots` are the teams' rosters, one team or two. `rules` holds everything except the model that the outcome of
+        `robots` are the teams' rosters, one to eight. `rules` holds everything except the model that the outcome of
         a game depends on. `derived` names the fields of Physics beyond qpos and qvel that the hooks read.
         `marker_kinds` declares what is drawn with the robots: name -> "circle" (x, y, radius) on the ground, "segment"
         (x, y, z of both ends), wire "sphere" or solid "ball" (x, y, z, radius). Raises ArenaError for invalid rosters.
@@ -144,17 +144,18 @@ class Game(ABC):
         """
         return None
 
-    def exchange(self, qpos: Array, qvel: Array, game: Any) -> tuple[Array, Array, Any]:
-        """Return the same situation with two exchangeable teams in each other's places.
+    def exchange(self, qpos: Array, qvel: Array, game: Any, order: Sequence[int] = (1, 0)) -> tuple[Array, Array, Any]:
+        """Return the same situation with exchangeable teams in other places: team i in that of team `order[i]`.
 
-        Each team then observes what the other observed. Robots change places with those of the same index. A game in
-        which a team owns more (a block, a goal, a count) exchanges that too.
+        `order` is a permutation of the teams that moves only teams of equal rosters; of two teams it is always (1, 0).
+        Team i then observes what team `order[i]` observed. Robots take the places of those of the same index. A game in
+        which a team owns more (a block, a goal, a count) moves that too: an array by team becomes `array[order]`.
         """
-        changed, moved = qpos, qvel
-        for mine, yours in zip(*self._rosters.values(), strict=True):
-            if mine in self.scene.agents:
-                one, other = self.scene.agents[mine], self.scene.agents[yours]
-                for a, b in ((one, other), (other, one)):
+        changed, moved, rosters = qpos, qvel, list(self._rosters.values())
+        for mine, yours in zip(rosters, (rosters[team] for team in order), strict=True):
+            for agent, other in zip(mine, yours, strict=True):
+                if agent != other and agent in self.scene.agents:
+                    a, b = self.scene.agents[agent], self.scene.agents[other]
                     changed = changed.at[a.own_qpos].set(qpos[b.own_qpos])
                     moved = moved.at[a.own_qvel].set(qvel[b.own_qvel])
         return changed, moved, game

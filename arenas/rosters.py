@@ -1,6 +1,6 @@
 """Rosters: the check of an arena's teams, and the text form of a roster, which a policy must fit. Loads nothing heavy.
 
-The text names the agents of a team with their sizes, e.g. `leatherback:38:2+leatherback:38:2`. Two teams of equal
+The text names the agents of a team with their sizes, e.g. `leatherback:38:2+leatherback:38:2`. Teams of equal
 agents have one roster if the arena declares them exchangeable. Otherwise each has a roster of its own, which ends with
 its side, e.g. `puck:6:2@chaser`, so that comparing rosters treats such teams as unlike.
 """
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from arenas.robots.robot import Robot
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # of teams: part of body names, of paths in the viewer and of player names
-MOST_TEAMS = 2
+MOST_TEAMS = 8  # as many team colours can be told apart
 
 
 class AgentSizes(NamedTuple):
@@ -63,17 +63,14 @@ def matching_roster(roster: str, sides: Iterable[str]) -> str | None:
 
 
 def check_rosters(robots: "Mapping[str, Sequence[Robot]]") -> None:
-    """Raise ArenaError for an invalid team name, an empty team, or one kind of robot with two action sizes.
-
-    Three or more teams are also refused: ratings exist for one team alone or for two that meet.
+    """Raise ArenaError for too few or too many teams, an invalid name, an empty team, or one kind with two action
+    sizes.
     """
     if not robots:
         raise ArenaError("an arena needs at least one team")
     if len(robots) > MOST_TEAMS:
-        raise ArenaError(
-            f"{len(robots)} teams ({', '.join(map(str, robots))}): games of more than {MOST_TEAMS} teams cannot be"
-            " rated yet; give the arena one team or two"
-        )
+        named = ", ".join(map(str, robots))
+        raise ArenaError(f"{len(robots)} teams ({named}): an arena has at most {MOST_TEAMS}; leave some out")
     for team, members in robots.items():
         if not NAME.fullmatch(team):
             raise ArenaError(f"team name {team!r}: use a letter, then letters, digits, - and _")

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from arenas.physics.engine import Physics
@@ -46,14 +47,15 @@ class Verdict(NamedTuple):
     """A game's verdict on a control step. *Reward* is for learning; *score* decides matches.
 
     `terminated`: the game is over and the future has no value. `truncated`: the game was cut off and the future still
-    has value. If neither holds, `score` is ignored. Names of terms and events are the same in every verdict of an
-    arena. In a `State`, terms are summed over the decision's control steps, and an event is true if it happened in any
-    of them.
+    has value. If neither holds, `score` is ignored. With three and more teams it may be any finite numbers: they rank
+    the teams, the largest first, and equal numbers are a tie. Names of terms and events are the same in every verdict
+    of an arena. In a `State`, terms are summed over the decision's control steps, and an event is true if it happened
+    in any of them.
     """
 
     rewards: dict[str, Array]  # name -> (teams,) rewards of the outcome; they sum to `reward`
     shapings: dict[str, Array]  # name -> (teams,) dense shaping, which a learner may anneal; it sums to `shaping`
-    score: Array  # (teams,) 1 win, ½ draw, 0 loss; with one team 1 success, 0 failure
+    score: Array  # (teams,) of one team 1 success, 0 failure; of two 1 win, ½ draw, 0 loss; of more see above
     terminated: Array  # () bool
     truncated: Array  # () bool
     events: dict[str, Array] = {}  # noqa: RUF012  (name -> (teams,) bool: the team's contact, out, fall, goal, ...)
@@ -103,6 +105,19 @@ class Frames(NamedTuple):
 def sum_terms(terms: dict[str, Array], like: Array) -> Array:
     """Sum the terms in their order; without terms, return zeros shaped as `like`."""
     return reduce(add, terms.values()) if terms else jnp.zeros_like(like)
+
+
+def mean_pairwise_score(score: Any) -> Any:
+    """Return each team's mean score against the other teams, from verdicts' scores (..., teams), NumPy or JAX.
+
+    Of three and more teams it is the share of the others that rank behind a team, a tie counted half, which is ½ on
+    average. The score of one team or two is returned as it is.
+    """
+    teams = score.shape[-1]
+    if teams < 3:
+        return score
+    own, other = score[..., :, None], score[..., None, :]
+    return ((own > other) + 0.5 * (own == other) - 0.5 * np.eye(teams)).sum(-1) / (teams - 1)
 
 
 def undecided_verdict(shapes: Verdict) -> Verdict:

@@ -239,7 +239,7 @@ def simulate_workers(store: Store, until: float) -> tuple[int, int]:
         if claimed := store.claim(LEAGUE, ["match"], "here:2:match", 60):
             task = decode(claimed[1])
             assert isinstance(task, RatingMatch)
-            log = [replace(match(i), a=a, b=b, due=task.due, seconds=1.0) for i, (a, b) in enumerate(task.pairs)]
+            log = [replace(match(i), a=a, b=b, due=task.due, seconds=1.0) for i, (a, b) in enumerate(task.lineups)]
             store.finish(claimed[0], matches=log)
             batches += 1
     return turns, batches

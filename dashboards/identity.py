@@ -9,10 +9,13 @@ from storage.recordings.recording import RecordingHeader
 Colour = tuple[int, int, int]
 
 COLOURS: tuple[Colour, ...] = (
-    (64, 132, 255), (255, 78, 66), (70, 190, 110), (240, 180, 50),
-    (170, 110, 245), (50, 190, 205), (245, 120, 185), (170, 125, 85),
+    (64, 132, 255), (255, 78, 66), (70, 190, 110), (245, 230, 110),
+    (130, 40, 160), (245, 145, 20), (150, 175, 180), (235, 250, 250),
 )  # fmt: skip
-"""Red, green and blue by a player's number; a ninth player gets the first colour again."""
+"""Red, green and blue by a player's number; a ninth player gets the first colour again.
+
+Colour-blind people can tell any two apart, as those of teams (`arenas.scene.colours`): they are 20 or more apart.
+"""
 SHAPES = (("circle", 48), ("square", 4), ("triangle", 3), ("hexagon", 6))
 """Shapes drawn on the ground around the robots of each side, with their numbers of corners."""
 

@@ -56,6 +56,7 @@ SHOTS = {
     "galaga-fly-2v2": Shot(("flyer",), 1, 1.2),
     "galaga-1v1": Shot(("gunner", "flyer"), 2, 0.56),
     "galaga-2v2": Shot(("gunner", "flyer"), 7, 1.24),
+    "tag": Shot(("tagger", "tagger", "tagger"), 2, 5.6),
     "pursuit": Shot(("interceptor", "runner"), 0, 6.0),
     "soccer-walk": Shot(("seeker",), 2, 16.0),
     "soccer-ball": Shot(("striker",), 0, 5.0),

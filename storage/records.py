@@ -4,8 +4,10 @@ Times are in seconds since the epoch on the database's clock. Digests are SHA-25
 players and snapshots are identified by name. A snapshot's digest identifies its bytes; two snapshots may share bytes.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 
@@ -159,9 +161,87 @@ class Match:
     id: int = 0  # 1, 2, 3, ... in the order of commits, within the league
     created: float = 0.0
 
+    @property
+    def players(self) -> tuple[str, ...]:
+        """Names of the snapshots that played: A, and B if there is one."""
+        return (self.a,) if self.b is None else (self.a, self.b)
+
+    @property
+    def episodes(self) -> int:
+        """Number of valid episodes."""
+        return self.wins + self.draws + self.losses
+
+
+@dataclass(frozen=True)
+class RankedMatch:
+    """A batch of episodes between three to eight snapshots, one for each team. Batches of two teams are `Match`.
+
+    `rankings` counts the valid episodes by their outcome: the rank of each team in team order, where 1 is the best and
+    equal ranks are a tie. Ranks are those of standard competition ranking: a team's rank is 1 plus the number of teams
+    ahead of it, so 1, 2, 2, 4. `voids`, `causes`, `seconds` and `due` are as in `Match`. `voids_by_team` counts the
+    voids in which only that team's robots became unstable. A snapshot may play several teams.
+    """
+
+    league: str
+    arena: ArenaKey
+    snapshots: tuple[str, ...]  # names, in team order
+    rankings: Mapping[tuple[int, ...], int]
+    voids: int
+    voids_by_team: tuple[int, ...]
+    seed: int
+    steps: int = 0  # environment steps simulated
+    purpose: str = "rating"
+    recording: str | None = None  # digest of an MCAP blob
+    seconds: float = 0.0
+    due: float | None = None
+    causes: int = 0
+    id: int = 0  # from the same counter as that of Match
+    created: float = 0.0
+
+    @property
+    def players(self) -> tuple[str, ...]:
+        """Names of the snapshots that played, in team order."""
+        return self.snapshots
+
+    @property
+    def episodes(self) -> int:
+        """Number of valid episodes."""
+        return sum(self.rankings.values())
+
+
+def competition_ranks(order: Sequence[float]) -> tuple[int, ...]:
+    """Return standard competition ranks, from 1, of places: the smallest is first, and equal ones are a tie."""
+    return tuple(1 + sum(other < each for other in order) for each in order)
+
+
+class LineupTotals(NamedTuple):
+    """Ranked matches of one ArenaKey between the same snapshots in the same teams, summed."""
+
+    rankings: Mapping[tuple[int, ...], int]  # as in RankedMatch
+    voids: int
+    voids_by_team: tuple[int, ...]
+    created: float  # time of the newest match
+
+    @classmethod
+    def of(cls, match: RankedMatch) -> "LineupTotals":
+        """Return the sums of one match."""
+        return cls(match.rankings, match.voids, match.voids_by_team, match.created)
+
+    def plus(self, other: "LineupTotals | None") -> "LineupTotals":
+        """Return the sums of these and other matches of the same snapshots."""
+        if other is None:
+            return self
+        by_team = tuple(map(sum, zip(self.voids_by_team, other.voids_by_team, strict=True)))
+        rankings = Counter(self.rankings)
+        rankings.update(other.rankings)
+        return LineupTotals(rankings, self.voids + other.voids, by_team, max(self.created, other.created))
+
 
 class MatchTotals(NamedTuple):
-    """Matches of one ArenaKey, summed for each a and b: everything that ratings need of a match log, in fewer rows."""
+    """Matches of one ArenaKey, summed for each a and b: everything that ratings need of a match log, in fewer rows.
+
+    Ranked matches are summed for each tuple of snapshots, in `lineups`.
+    """
 
     arena: ArenaKey
     a: Sequence[str]
@@ -169,6 +249,7 @@ class MatchTotals(NamedTuple):
     counts: Sequence[Sequence[int]]  # (rows, 14), in the order of COUNT_COLUMNS
     created: Sequence[float]  # time of the newest match in the row
     newest: int  # id of the newest match of all
+    lineups: Mapping[tuple[str, ...], LineupTotals] = MappingProxyType({})
 
 
 class RatingPace(NamedTuple):

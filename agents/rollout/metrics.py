@@ -11,6 +11,7 @@ from jax import Array
 from agents.rollout.rollout import Trajectory
 from agents.rollout.team_view import select_agents, take_worlds
 from arenas.physics.void_causes import METRIC_PREFIX, Cause
+from arenas.state import mean_pairwise_score
 
 ALL = slice(None)
 
@@ -24,10 +25,10 @@ def rollout_metrics(
     """Return metrics of a team in its `worlds` for its learning curve, all finite.
 
     `reward` and `shaping` are means per decision that was not void. `episodes` counts those that ended by the rules;
-    their mean `score` and `length` in decisions are present only if there is one. `voids` counts void decisions,
-    `own_voids` those that the team's own robots caused, and `void.pairs` and the like those of each cause that occurred
-    (arenas.physics.void_causes). If the worlds are split over processes, `sum_over_ranks` sums a list of numbers over
-    them.
+    their mean `score`, against all other teams, and `length` in decisions are present only if there is one. `voids`
+    counts void decisions, `own_voids` those that the team's own robots caused, and `void.pairs` and the like those of
+    each cause that occurred (arenas.physics.void_causes). If the worlds are split over processes, `sum_over_ranks` sums
+    a list of numbers over them.
     """
     length, number = trajectory.void.shape
     chosen = np.arange(number)[worlds]
@@ -49,13 +50,13 @@ def episode_results(
     groups: int,
     sum_over_ranks: Callable[[list[float]], list[float]] = lambda sums: sums,
 ) -> np.ndarray:
-    """Return (groups, 4) episodes that a team won, drew and lost, and void ones, in each of equal groups of worlds.
+    """Return (groups, teams, 4) results of a team against each team in each of equal groups of worlds.
 
-    Cut episodes do not count. With several other teams the best one counts; a team alone wins if it succeeds.
-    `sum_over_ranks` is as for `rollout_metrics`.
+    Results are the numbers of episodes won, drawn, lost and void; against itself a team draws. Cut episodes do not
+    count. `sum_over_ranks` is as for `rollout_metrics`.
     """
     counts = np.asarray(_count_results(select_agents(trajectory), index, groups))
-    return np.array(sum_over_ranks(counts.ravel().astype(float).tolist())).reshape(groups, 4)
+    return np.array(sum_over_ranks(counts.ravel().astype(float).tolist())).reshape(groups, -1, 4)
 
 
 @partial(jax.jit, static_argnums=1)
@@ -72,7 +73,8 @@ def _sums(trajectory: Trajectory, index: int, worlds: Array) -> Array:
     def total(values: Array, where: Array) -> Array:
         return jnp.where(where, values, 0).sum()
 
-    score, reward, shaping = (values[..., index] for values in (own.score, own.reward, own.shaping))
+    scores = mean_pairwise_score(own.score), own.reward, own.shaping
+    score, reward, shaping = (values[..., index] for values in scores)
     return jnp.stack([
         whole.sum(), own.void.sum(), (own.void & own.at_fault[..., index]).sum(), total(score, whole),
         total(own.age, whole), total(reward, ~own.void), total(shaping, ~own.void),
@@ -83,9 +85,9 @@ def _sums(trajectory: Trajectory, index: int, worlds: Array) -> Array:
 @partial(jax.jit, static_argnums=(1, 2))
 def _count_results(trajectory: Trajectory, index: int, groups: int) -> Array:
     """Return the counts of `episode_results`."""
-    own, others = trajectory.score[..., index], jnp.delete(trajectory.score, index, axis=-1)
-    ahead = own - (others.max(-1) if others.shape[-1] else 0.5)
-    whole = (trajectory.terminated | trajectory.truncated) & ~trajectory.cut & ~trajectory.void
-    ended = jnp.stack([whole & (ahead > 0), whole & (ahead == 0), whole & (ahead < 0), trajectory.void], axis=-1)
-    length, number, _ = ended.shape
-    return ended.reshape(length, groups, number // groups, 4).sum((0, 2))
+    ahead = trajectory.score[..., index, None] - trajectory.score  # (T, N, teams)
+    whole = ((trajectory.terminated | trajectory.truncated) & ~trajectory.cut & ~trajectory.void)[..., None]
+    void = jnp.broadcast_to(trajectory.void[..., None], ahead.shape)
+    ended = jnp.stack([whole & (ahead > 0), whole & (ahead == 0), whole & (ahead < 0), void], axis=-1)
+    length, number, teams, _ = ended.shape
+    return ended.reshape(length, groups, number // groups, teams, 4).sum((0, 2))

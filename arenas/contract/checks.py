@@ -112,12 +112,14 @@ def _stays(run: CheckRun) -> str:
     return "it changes after the end" if any(x[over].any() for x in changed) else ""
 
 
-@check("scores lie between 0 and 1, and two teams share 1")
+@check("scores lie between 0 and 1, and two teams share 1; those of more teams rank them")
 def _scores(run: CheckRun) -> str:
     states = run.episode.states
     score = states.verdict.score[-1][states.done[-1] & ~states.void[-1]]  # (ended worlds, teams)
     if score.size == 0:
         return "no episode of random play ended with a score"
+    if score.shape[1] > 2:
+        return "" if np.isfinite(score).all() else f"scores {np.unique(score, axis=0).tolist()}"
     fair = score.shape[1] != 2 or np.allclose(score.sum(axis=1), 1.0)
     return "" if fair and score.min() >= 0 and score.max() <= 1 else f"scores {np.unique(score, axis=0).tolist()}"
 

@@ -1,9 +1,10 @@
 """Check of teams that an arena declares exchangeable, over an episode of play and by scores.
 
-In each world both teams act by one policy: at random, or by a script that all robots know. Several times per episode,
+In each world all teams act by one policy: at random, or by a script that all robots know. Several times per episode,
 and before each decision in which a world ends, the situation is exchanged (`Game.exchange`) and both versions take one
-decision. Then each team must observe and get what the other observed and got in the original. Both versions use the
-default model fields, because the situation is exchanged and not the robots' masses.
+decision. Then each team must observe and get what the team whose place it has observed and got in the original. Of
+three and more equal teams the first two change places, and all move on by one: every permutation is made of these. Both
+versions use the default model fields, because the situation is exchanged and not the robots' masses.
 
 The starts of episodes can also favour a side, and exchanges do not reveal that. Therefore scores of one policy against
 itself are counted. If they lean to one side, or only one side has won, more episodes are played, until chance explains
@@ -12,6 +13,7 @@ the lean well or is practically excluded.
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -42,33 +44,51 @@ class Step(NamedTuple):
     after: State
 
 
-def exchangeable(arena: Arena) -> bool:
-    """Return whether the teams can change places: the arena declares it, and their agents are equal."""
-    teams = arena.teams
-    return arena.exchangeable and len(teams) == 2 and bare(teams[0].roster) == bare(teams[1].roster)
+def exchangeable(arena: Arena) -> list[list[int]]:
+    """Return the teams that can change places, in sets of equal agents; none if the arena does not declare it."""
+    if not arena.exchangeable:
+        return []
+    rosters = [bare(team.roster) for team in arena.teams]
+    sets = [[i for i, own in enumerate(rosters) if own == roster] for roster in dict.fromkeys(rosters)]
+    return [each for each in sets if len(each) > 1]
 
 
 def problem(run: CheckRun) -> str:
     """Describe why the teams are not exchangeable; empty if nothing shows it."""
-    if not exchangeable(run.arena):
+    exchanged = [_ExchangedWorlds(run, order) for order in _orders(run.arena)]
+    if not exchanged:
         return ""
-    mirror, every, last = _ExchangedWorlds(run), max(1, run.arena.timing.decisions // EXCHANGES), run.first
+    every, last = max(1, run.arena.timing.decisions // EXCHANGES), run.first
     for number, (before, actions, after) in enumerate(_play(run, 0)):
         ends, last = np.asarray(after.done & ~before.done).any(), after
-        if (ends or number % every == 0) and (found := mirror.differs(before, actions)):
-            return found
+        if ends or number % every == 0:
+            for worlds in exchanged:
+                if found := worlds.differs(before, actions):
+                    return found
     return _scores(run, last)
 
 
-class _ExchangedWorlds:
-    """The worlds of a check run with their teams in each other's places."""
+def _orders(arena: Arena) -> list[tuple[int, ...]]:
+    """Return permutations of the teams of which all others that keep rosters are made."""
+    found, every = [], range(len(arena.teams))
+    for equal in exchangeable(arena):
+        moves = [[equal[1], equal[0], *equal[2:]], *([[*equal[1:], equal[0]]] if len(equal) > 2 else [])]
+        found += [tuple(dict(zip(equal, move, strict=True)).get(team, team) for team in every) for move in moves]
+    return found
 
-    def __init__(self, run: CheckRun):
+
+class _ExchangedWorlds:
+    """The worlds of a check run with team i in the place of team `order[i]`."""
+
+    def __init__(self, run: CheckRun, order: tuple[int, ...]):
         arena = run.arena
-        blue, red = ([agent.name for agent in team.agents] for team in arena.teams)
-        self.other = dict(zip(blue + red, red + blue, strict=True))
-        self.run = run
-        self._exchange = jax.jit(jax.vmap(arena.exchange))
+        names = [[agent.name for agent in team.agents] for team in arena.teams]
+        self.other = {
+            name: other for i, own in enumerate(names) for name, other in zip(own, names[order[i]], strict=True)
+        }
+        self.run, self.order = run, list(order)
+        exchange = arena.exchange if len(order) == 2 else partial(arena.exchange, order=order)
+        self._exchange = jax.jit(jax.vmap(exchange))
         self._see = jax.jit(
             jax.vmap(lambda state: (arena.alive(state.physics, state.game), _raw_observations(arena, state)))
         )
@@ -81,14 +101,13 @@ class _ExchangedWorlds:
         theirs, exchanged_back = self._place(before, qpos, qvel, exchanged, self._counterparts(before.actions))
         going = ~np.asarray(before.done)
         observations = {
-            f"the observation of {self.other[name]}": (exchanged_back[self.other[name]], original[name])
-            for name in self.other
+            f"the observation of {name}": (exchanged_back[name], original[other]) for name, other in self.other.items()
         }
         if found := _difference(observations, going):
             return found
         ours, theirs = self.run.act(ours, actions), self.run.act(theirs, self._counterparts(actions))
         alike = self._moved_alike(ours, theirs) & ~np.asarray(ours.void | theirs.void)
-        return _verdicts(ours.verdict, theirs.verdict, going & alike)
+        return self._verdicts(ours.verdict, theirs.verdict, going & alike)
 
     def _moved_alike(self, ours: State, theirs: State) -> np.ndarray:
         """Return (WORLDS,) bool: the bodies of both versions moved alike, so their verdicts can be compared.
@@ -103,7 +122,7 @@ class _ExchangedWorlds:
         return np.all([np.isclose(a, b, MOVED, MOVED).all(1) for a, b in pairs], 0)
 
     def _counterparts(self, actions: Mapping[str, Array]) -> dict[str, Array]:
-        """Return for each agent the action of its counterpart."""
+        """Return for each agent the action of the one whose place it has."""
         return {name: actions[self.other[name]] for name in self.other}
 
     def _place(
@@ -123,32 +142,29 @@ class _ExchangedWorlds:
         alive, original = self._see(state)
         return state._replace(alive=alive), original
 
+    def _verdicts(self, ours: Verdict, theirs: Verdict, worlds: np.ndarray) -> str:
+        """Describe a verdict in these `worlds` (WORLDS,) bool that a team got and the one in its place did not."""
+        ends = [np.asarray(each.terminated | each.truncated) for each in (ours, theirs)]
+        for name, one, other in (
+            ("the end of the game", ours.terminated, theirs.terminated),
+            ("the cut of the game", ours.truncated, theirs.truncated),
+        ):
+            if found := _difference({name: (other, one)}, worlds):
+                return found
+        terms = {
+            f"{what} {name}": (other, np.asarray(one)[:, self.order])
+            for what, mine, yours in (
+                ("reward", ours.rewards, theirs.rewards), ("shaping", ours.shapings, theirs.shapings),
+                ("event", ours.events, theirs.events),
+            )
+            for (name, one), other in zip(mine.items(), yours.values(), strict=True)
+        }  # fmt: skip
+        scores = {"the score": (theirs.score, np.asarray(ours.score)[:, self.order])}
+        return _difference(terms, worlds) or _difference(scores, worlds & ends[0])
+
 
 def _raw_observations(arena: Arena, state: State) -> dict[str, Array]:
     return arena.observe(state.physics, state.game, state.actions)
-
-
-def _verdicts(ours: Verdict, theirs: Verdict, worlds: np.ndarray) -> str:
-    """Describe a verdict in these `worlds` (WORLDS,) bool that one team got and the other team did not after the
-    exchange.
-    """
-    ends = [np.asarray(each.terminated | each.truncated) for each in (ours, theirs)]
-    for name, one, other in (
-        ("the end of the game", ours.terminated, theirs.terminated),
-        ("the cut of the game", ours.truncated, theirs.truncated),
-    ):
-        if found := _difference({name: (other, one)}, worlds):
-            return found
-    terms = {
-        f"{what} {name}": (np.asarray(other)[:, ::-1], one)
-        for what, mine, yours in (
-            ("reward", ours.rewards, theirs.rewards), ("shaping", ours.shapings, theirs.shapings),
-            ("event", ours.events, theirs.events),
-        )
-        for (name, one), other in zip(mine.items(), yours.values(), strict=True)
-    }  # fmt: skip
-    scores = {"the score": (np.asarray(theirs.score)[:, ::-1], ours.score)}
-    return _difference(terms, worlds) or _difference(scores, worlds & ends[0])
 
 
 def _difference(pairs: Mapping[str, tuple[Any, Any]], worlds: np.ndarray) -> str:
@@ -166,21 +182,29 @@ def _difference(pairs: Mapping[str, tuple[Any, Any]], worlds: np.ndarray) -> str
 
 def _scores(run: CheckRun, last: State) -> str:
     """Describe a side on which one policy scores better than on the other, in ended worlds; empty if there is none."""
-    points: list[float] = []
+    points: dict[tuple[int, int], list[float]] = {
+        (equal[0], other): [] for equal in exchangeable(run.arena) for other in equal[1:]
+    }
+    chances: dict[tuple[int, int], float] = {}
     for number in range(1, EPISODES + 1):
         ended = np.asarray(last.done & ~last.void)
-        points += (np.asarray(last.verdict.score)[ended, 0] - 0.5).tolist()
-        chance, won = sign_test(points), {point > 0 for point in points if point}
-        if chance > P_PLAY_ON and len(won) != 1:
+        score = np.asarray(last.verdict.score)[ended]
+        for (one, other), own in points.items():
+            own += (0.5 * np.sign(score[:, one] - score[:, other])).tolist()
+        chances = {pair: sign_test(own) for pair, own in points.items()}
+        one_sided = any(len({point > 0 for point in own if point}) == 1 for own in points.values())
+        if min(chances.values()) > P_PLAY_ON and not one_sided:
             return ""
-        if chance < P_UNEQUAL:
+        if min(chances.values()) < P_UNEQUAL:
             break
         if number < EPISODES:
             last = _last(_play(run, number))
-    if sign_test(points) >= P_UNEQUAL:
+    pair = min(chances, key=chances.__getitem__)
+    if chances[pair] >= P_UNEQUAL:
         return ""
-    first, mean = run.arena.teams[0].name, np.mean(points) + 0.5
-    return f"one policy in both teams scores {mean:.0%} as {first} in {len(points)} games: the sides are unequal"
+    one, other = (run.arena.teams[team].name for team in pair)
+    mean, games = np.mean(points[pair]) + 0.5, len(points[pair])
+    return f"one policy in all teams scores {mean:.0%} as {one} against {other} in {games} games: the sides are unequal"
 
 
 def sign_test(points: list[float]) -> float:
@@ -195,7 +219,7 @@ def sign_test(points: list[float]) -> float:
 
 
 def _play(run: CheckRun, number: int) -> Iterator[Step]:
-    """Play an episode in every world, with one policy for both teams of a world."""
+    """Play an episode in every world, with one policy for all teams of a world."""
     arena, key = run.arena, jax.random.fold_in(run.key, 1000 + number)
     decide = _policy(arena)
     state = run.first if number == 0 else run.reset(jax.random.split(key, WORLDS))
@@ -215,7 +239,8 @@ def _last(steps: Iterator[Step]) -> State:
 
 def _policy(arena: Arena) -> Any:
     """Compile actions (WORLDS, act) of all agents: random in one world, by the first script in the next, and so on."""
-    scripts, names = arena.scripts(), arena.playable_scripts(arena.teams[0])
+    scripts, playable = arena.scripts(), [arena.playable_scripts(team) for team in arena.teams]
+    names = [name for name in playable[0] if all(name in others for others in playable)]
     turn = jnp.arange(WORLDS) % (1 + len(names))
 
     def decide(observations: dict[str, Array], key: Array) -> dict[str, Array]:

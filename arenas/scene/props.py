@@ -104,6 +104,16 @@ def wall(
     return Prop(name, build)
 
 
+def square_of_walls(side: float, height: float, thick: float = 0.1) -> list[Prop]:
+    """Make four walls round a square field, which meet at its corners; `thick` is half a wall, all in metres."""
+    off, z = side / 2 + thick, height / 2
+    along, across = (off + thick, thick, z), (thick, off + thick, z)
+    return [
+        wall("south", at=(0.0, -off, z), half=along), wall("north", at=(0.0, off, z), half=along),
+        wall("west", at=(-off, 0.0, z), half=across), wall("east", at=(off, 0.0, z), half=across),
+    ]  # fmt: skip
+
+
 def pillar(
     name: str, *, radius: float, height: float, mass: float = 1e5, colour: Colour = (0.55, 0.57, 0.60, 1.0),
 ) -> Prop:  # fmt: skip

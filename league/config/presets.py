@@ -30,6 +30,12 @@ def duel() -> Config:
     return replace(config, league="duel", budget=Budget(training_time="2m", rating_time="1m"))
 
 
+def tag() -> Config:
+    """Tag of three pucks, free for all: two minutes on two cores, then ratings."""
+    config = default("tag")
+    return replace(config, league="tag", budget=Budget(training_time="2m", rating_time="1m"))
+
+
 def selfplay() -> Config:
     """Quick start against the opponents as they are now."""
     return _versus("selfplay", Opponents("latest"))
@@ -266,7 +272,8 @@ def _galaga(size: str) -> tuple[Stage, ...]:
 
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
-    "quickstart": quickstart, "duel": duel, "selfplay": selfplay, "leapfrog": leapfrog, "alphastar": alphastar,
+    "quickstart": quickstart, "duel": duel, "tag": tag, "selfplay": selfplay, "leapfrog": leapfrog,
+    "alphastar": alphastar,
     "psro": psro, "openai-five": openai_five, "delta-uniform": delta_uniform, "harl_a": harl_a,
     "sumo-by-team": by_team, "sumo-within-team": within_team,
     "hopper-alone": hopper_alone, "hopper-adversary": hopper_adversary, "hopper-adversaries": hopper_adversaries,

@@ -4,6 +4,7 @@ A batch is filed in one transaction under a job key that identifies its purpose,
 however often a command is killed and repeated.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ from league.queries.query import Open
 from league.scheduling.progress_metrics import can_meet
 from league.state.jobs import RatingMatch, encode
 from league.state.team_exchange import as_made
-from storage.records import ArenaKey, Match, Purpose, Snapshot
+from storage.records import ArenaKey, Match, Purpose, RankedMatch, Snapshot
 
 if TYPE_CHECKING:
     from league.matches.evaluator import MatchEvaluator
@@ -26,28 +27,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Two snapshots of a league that can meet; in an arena of one team, one snapshot."""
+    """Snapshots of a league that can meet, one for each team; in an arena of one team, one snapshot."""
 
     opened: Open
     a: Snapshot
     b: Snapshot | None
+    others: tuple[Snapshot, ...] = ()  # in an arena of three and more teams
 
     @property
-    def pair(self) -> tuple[str, str | None]:
-        """Names of the snapshots."""
-        return self.a.name, None if self.b is None else self.b.name
+    def pair(self) -> tuple[str | None, ...]:
+        """Names of the snapshots; in an arena of one team the second is None."""
+        return self.a.name, None if self.b is None else self.b.name, *(s.name for s in self.others)
+
+    @property
+    def players(self) -> tuple[Snapshot, ...]:
+        """The snapshots."""
+        return (self.a,) if self.b is None else (self.a, self.b, *self.others)
 
     @property
     def swaps(self) -> bool:
-        """Return whether each can play either side."""
-        return self.b is not None and self.a.roster == self.b.roster
+        """Return whether each can play every side."""
+        return self.b is not None and len({s.roster for s in self.players}) == 1
 
     def config(self) -> Config:
         """Return the settings with which the league was last run."""
         return configuration.loads(self.opened.store.league(self.opened.league).config)
 
     def evaluator(self, episodes: int, recorded: tuple[int, ...] = ()) -> "MatchEvaluator":
-        """Make an evaluator that plays an even number of episodes of this pair at once.
+        """Make an evaluator that plays an even number of episodes of this pair at once, or a multiple of its teams.
 
         It keeps the frames of the worlds in `recorded`.
         """
@@ -70,7 +77,7 @@ class Pairing:
         task = RatingMatch((self.pair,), seed, purpose, record=False)
         return self.keep(task, evaluator.play(self.opened.store, task))
 
-    def keep(self, task: RatingMatch, matches: Sequence[Match]) -> bool:
+    def keep(self, task: RatingMatch, matches: Sequence[Match | RankedMatch]) -> bool:
         """File the matches of a task in one transaction; return False if they have been filed before."""
         key = matches[0].arena
         job = encode(self.opened.league, task, [task.purpose, *self.pair, task.seed, *key])
@@ -82,46 +89,83 @@ class Pairing:
         return {m.seed: m for m in log if (m.a, m.b, m.arena) == (*self.pair, key)}
 
 
-def pairing(opened: Open, a: str, b: str | None) -> Pairing:
-    """Find two snapshots by the names that `Open.snapshot` accepts.
+def pairing(opened: Open, a: str, b: str | None = None, *others: str) -> Pairing:
+    """Find snapshots by the names that `Open.snapshot` accepts, one for each team.
 
     Raises UnknownName, or ConfigError, one line, if they cannot meet.
     """
-    one, other = opened.snapshot(a), None if b is None else opened.snapshot(b)
+    found = [opened.snapshot(name) for name in (a, b, *others) if name is not None]
     players = opened.store.players(opened.league)
-    one_team = len({p.team for p in players}) == 1
-    if one_team != (b is None):
-        why = "has one team, in which no two meet; `league play` takes one snapshot there"
-        raise ConfigError((), f"league {opened.league} {why if one_team else 'has several teams: name two snapshots'}")
-    if other is not None and not can_meet(one, other, players):
+    rosters = {p.team: p.roster for p in players}
+    if len(found) != len(rosters):
+        why = f"has {len(rosters)} teams: name {len(rosters)} snapshots, not {len(found)}"
+        if len(rosters) == 1:
+            why = "has one team, in which no two meet; `league play` takes one snapshot there"
+        elif len(found) == 1:
+            why = f"has several teams: name {'two' if len(rosters) == 2 else len(rosters)} snapshots"
+        raise ConfigError((), f"league {opened.league} {why}")
+    if len(found) == 2:
+        fit = can_meet(found[0], found[1], players)
+    else:
+        fit = len(found) == 1 or Counter(s.roster for s in found) == Counter(rosters.values())
+    if not fit:
+        named, sides = " and ".join(f"{s.name} ({s.roster})" for s in found), "two" if len(found) == 2 else len(found)
         raise ConfigError(
-            (), f"{one.name} ({one.roster}) and {other.name} ({other.roster}) cannot sit on two sides of league"
-            f" {opened.league}'s arena: `league snapshots --format json` tells everyone's roster",
+            (), f"{named} cannot sit on {sides} sides of league {opened.league}'s arena: `league snapshots --format"
+            " json` tells everyone's roster",
         )  # fmt: skip
-    return Pairing(opened, one, other)
+    return Pairing(opened, found[0], found[1] if len(found) > 1 else None, tuple(found[2:]))
 
 
-def exhibition(found: Pairing, episodes: int, recordings: int) -> list[Match]:
+def require_two_sides(opened: Open, what: str) -> None:
+    """Raise ConfigError, one line, in a league whose arena has more than two teams."""
+    teams = len({p.team for p in opened.store.players(opened.league)})
+    if teams > 2:
+        message = f"league {opened.league} has {teams} teams, and {what} is for two: `league ratings` ranks its players"
+        raise ConfigError((), message)
+
+
+def exhibition(found: Pairing, episodes: int, recordings: int) -> list[Match | RankedMatch]:
     """Play and file an exhibition, which counts for no rating; return its matches as filed.
 
-    Sides are swapped from one episode to the next if the rosters allow it. The first `recordings` episodes are
-    recorded, each in a match of its own because a match has one recording; the others count with the first match.
+    Sides change from one episode to the next if the rosters allow it. The first `recordings` episodes are recorded,
+    each in a match of its own because a match has one recording; of one team or two the others count with the first
+    match, of more teams each seating of the others is a match.
     """
     from league.matches.evaluator import alternating
     from storage.recordings.recording import to_bytes
 
-    store, half = found.opened.store, -(-episodes // 2)
-    order, recorded = alternating(half)[:episodes], max(1, recordings)
-    evaluator = found.evaluator(2 * half, tuple(order[:recordings].tolist()))
-    seats = evaluator.side_orders(found.a, found.b)
-    number = len(store.matches(found.opened.league))  # part of the seed: each exhibition differs
+    store, groups = found.opened.store, max(2, len(found.players))
+    each = -(-episodes // groups)
+    order = alternating(each, groups)[:episodes]
+    evaluator = found.evaluator(groups * each, tuple(order[:recordings].tolist()))
+    seats = evaluator.side_orders(*found.players)
+    number = store.last_match(found.opened.league)  # part of the seed: each exhibition differs
     task = RatingMatch((found.pair,), found.seed("exhibition", number), "exhibition")
     games = evaluator.games(store, seats, task.seed)
     kept = [store.blobs.put(to_bytes(each)) for each in evaluator.recordings(games, 0, seats, task.seed)]
-    matches = []
-    for i in range(recorded):
-        worlds = order[[i]] if i else np.concatenate([order[:1], order[recorded:]])
-        seconds, recording = evaluator.seconds * len(worlds) / (2 * half), kept[i] if i < len(kept) else None
-        matches.append(evaluator.match(games, seats, worlds, found.a, found.b, task, seconds, recording))
+    matches: list[Match | RankedMatch] = []
+    for worlds, recording in _parts(order, [seats[world // each] for world in order], recordings, kept):
+        if len(found.players) > 2:
+            matches.append(evaluator.ranked_match(games, seats[worlds[0] // each], worlds, task, recording))
+        else:
+            seconds = evaluator.seconds * len(worlds) / (groups * each)
+            matches.append(evaluator.match(games, seats, worlds, found.a, found.b, task, seconds, recording))
     found.keep(task, matches)
-    return [m for m in store.matches(found.opened.league, "exhibition") if m.seed == task.seed]
+    return [m for m in store.log(found.opened.league, "exhibition") if m.seed == task.seed]
+
+
+def _parts(
+    order: np.ndarray, seatings: Sequence[tuple[Snapshot, ...]], recordings: int, kept: Sequence[str]
+) -> list[tuple[np.ndarray, str | None]]:
+    """Return the worlds of each match of an exhibition, and its recording."""
+    if len(seatings[0]) < 3:
+        recorded = max(1, recordings)
+        first = np.concatenate([order[:1], order[recorded:]])
+        parts = [first, *(order[[i]] for i in range(1, recorded))]
+        return [(worlds, kept[i] if i < len(kept) else None) for i, worlds in enumerate(parts)]
+    found: list[tuple[np.ndarray, str | None]] = [(order[[i]], kept[i] if kept else None) for i in range(recordings)]
+    rest = range(recordings, len(order))
+    for seating in dict.fromkeys(seatings[i] for i in rest):
+        found.append((order[[i for i in rest if seatings[i] == seating]], None))
+    return found

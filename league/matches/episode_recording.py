@@ -57,10 +57,12 @@ def _outcome(score: np.ndarray, void: bool, sides: Sequence[Snapshot], teams: Se
         return "void"
     if len(sides) == 1:
         return f"{sides[0].name} {'succeeds' if score[0] > 0.5 else 'fails'}"
-    if score[0] == score[1]:
+    if score.min() == score.max():
         return "draw"
-    first = int(np.argmax(score))
-    return f"{sides[first].name} wins as {teams[first]}"
+    first = np.flatnonzero(score == score.max()).tolist()
+    if len(first) > 1:
+        return f"{' and '.join(f'{sides[i].name} as {teams[i]}' for i in first)} tie ahead of the others"
+    return f"{sides[first[0]].name} wins as {teams[first[0]]}"
 
 
 def _timeout(arena: Arena, frames: Frames, score: np.ndarray) -> int | None:

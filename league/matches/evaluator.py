@@ -1,9 +1,13 @@
-"""Evaluation: pairs of snapshots play a batch of episodes with swapped sides, from recorded seeds."""
+"""Evaluation: lineups of snapshots play a batch of episodes, from recorded seeds.
+
+A lineup has a snapshot for each team. Where rosters allow, it plays in all its cyclic rotations from the same seeds: a
+pair on either side, which gives seed pairs.
+"""
 
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,6 +17,7 @@ from agents.rollout.rollout import PlayedEpisodes, make_play, scripts_for
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.matches.episode_recording import episode
+from league.matches.match_rows import match_row, ranked_row
 from league.matches.time_slices import TimeSlices
 from league.snapshots.arena_transfer import elsewhere
 from league.snapshots.codec import Policy, seat, thaw
@@ -23,14 +28,17 @@ from league.system.devices import used
 from league.system.gpu_sharing import GpuLock, Pace
 from storage.errors import StorageError
 from storage.recordings.recording import Recording, to_bytes
-from storage.records import ArenaKey, Match, PairCounts, Snapshot
+from storage.records import ArenaKey, Match, RankedMatch, Snapshot
 from storage.store import Store
 
 Sides = tuple[Snapshot, ...]  # the snapshot that plays each team
 
 
 class MatchEvaluator:
-    """Compiled match of one process: 2 × `pairings` groups of worlds, two for each pair of snapshots."""
+    """Compiled match of one process, of `pairings` lineups, each with as many groups of worlds as there are teams.
+
+    In an arena of one team it has two groups.
+    """
 
     def __init__(
         self, config: Config, arena: Arena, league: str, recorded: tuple[int, ...] | None = None,
@@ -43,7 +51,8 @@ class MatchEvaluator:
         """
         self.config, self.arena, self.league = config, arena, league
         batch = batch_sizes.batch(config.rating, jax.default_backend(), config.budget.by_rating)
-        self.pairings, self.each = batch.pairings, batch.worlds // (2 * batch.pairings)  # episodes per group
+        self.pairings, self.groups = batch.pairings, max(2, len(arena.teams))  # groups of worlds of each lineup
+        self.each = batch.worlds // (self.groups * batch.pairings)  # episodes per group
         visible = config.rating.record and bool(arena.scene.agents)  # a game without bodies has nothing to show
         self.recorded = (self._first(config.rating.recordings) if recorded is None else recorded) if visible else ()
         self.seconds = 0.0  # of the device, for the batch played last
@@ -63,42 +72,69 @@ class MatchEvaluator:
         """Key of the arena under which these matches are filed."""
         return ArenaKey(self.arena.name, self.arena.config_hash, self.arena.engine.name)
 
-    def play(self, store: Store, task: RatingMatch) -> list[Match]:
-        """Play the pairs, store recordings as blobs, and return complete match rows.
+    def play(self, store: Store, task: RatingMatch) -> list[Match | RankedMatch]:
+        """Play the lineups, store recordings as blobs, and return complete match rows.
 
-        If there are fewer pairs than places, pairs play more episodes. If there are more, because the task was made for
-        another device, they play in rounds. Each match has an equal part of the device time of its round, and the time
-        to which the task is booked.
+        If there are fewer lineups than places, they play more episodes. If there are more, because the task was made
+        for another device, they play in rounds. Each match has an equal part of the device time of its round, and
+        the time to which the task is booked.
         """
-        rounds = [task.pairs[i : i + self.pairings] for i in range(0, len(task.pairs), self.pairings)]
+        rounds = [task.lineups[i : i + self.pairings] for i in range(0, len(task.lineups), self.pairings)]
         matches, seconds = [], 0.0
-        for pairs in rounds:
-            matches += self._round(store, replace(task, pairs=pairs))
+        for lineups in rounds:
+            matches += self._round(store, replace(task, lineups=lineups))
             seconds += self.seconds
         self.seconds = seconds
         return matches
 
-    def _round(self, store: Store, task: RatingMatch) -> list[Match]:
+    def _round(self, store: Store, task: RatingMatch) -> list[Match | RankedMatch]:
         snapshots = {s.name: s for s in store.snapshots(self.league, brief=True)}
-        room = [task.pairs[i % len(task.pairs)] for i in range(self.pairings)]
-        met = [(_known(snapshots, a), None if b is None else _known(snapshots, b)) for a, b in room]
-        seats = [seating for a, b in met for seating in self.side_orders(a, b)]
+        room = [task.lineups[i % len(task.lineups)] for i in range(self.pairings)]
+        met = [[_known(snapshots, name) for name in lineup if name is not None] for lineup in room]
+        seats = [seating for lineup in met for seating in self.side_orders(*lineup)]
         games = self.games(store, seats, task.seed)
-        matches = []
-        for i, (a, b) in enumerate(met):
+        matches: list[Match | RankedMatch] = []
+        for i, lineup in enumerate(met):
             episodes = self.recordings(games, i, seats, task.seed) if task.record else []
+            if len(lineup) > 2:
+                matches += self.ranked_matches(store, games, i, seats, task, episodes)
+                continue
             kept = store.blobs.put(to_bytes(*episodes)) if episodes else None
+            a, b = (*lineup, None)[:2]
+            assert a is not None
             matches.append(self.pair_match(games, i, a, b, seats, task, kept))
         return matches
 
+    def ranked_matches(
+        self, store: Store, games: PlayedEpisodes, i: int, seats: Sequence[Sides], task: RatingMatch,
+        episodes: Sequence[Recording] = (),
+    ) -> list[RankedMatch]:  # fmt: skip
+        """Return the rows of lineup `i`, one for each of its seatings, with the recordings of that seating."""
+        found, first = [], self.groups * i
+        for seating in dict.fromkeys(seats[first : first + self.groups]):
+            groups = [k for k in range(first, first + self.groups) if seats[k] == seating]
+            worlds = np.concatenate([np.arange(k * self.each, (k + 1) * self.each) for k in groups])
+            own = [each for each in episodes if each.header.sides == tuple(s.name for s in seating)]
+            kept = store.blobs.put(to_bytes(*own)) if own else None
+            found.append(self.ranked_match(games, seating, worlds, task, kept))
+        return found
+
+    def ranked_match(
+        self, games: PlayedEpisodes, seating: Sides, worlds: np.ndarray, task: RatingMatch, recording: str | None = None
+    ) -> RankedMatch:
+        """Return the row of the episodes in these worlds (n,), all of one seating of three or more teams."""
+        names = [s.name for s in seating]
+        seconds = self.seconds * len(worlds) / (self.pairings * self.groups * self.each)
+        return ranked_row(self.league, self.key, names, games, worlds, task, seconds, recording)
+
     def _first(self, number: int) -> tuple[int, ...]:
-        """Worlds of the first episodes of each pairing, one of each of its two groups by turns."""
-        order = alternating(self.each)[:number]
-        return tuple((2 * self.each * np.arange(self.pairings)[:, None] + order).reshape(-1).tolist())
+        """Worlds of the first episodes of each lineup, one of each of its groups by turns."""
+        order = alternating(self.each, self.groups)[:number]
+        return tuple((self.groups * self.each * np.arange(self.pairings)[:, None] + order).reshape(-1).tolist())
 
     def recordings(self, games: PlayedEpisodes, i: int, seats: Sequence[Sides], seed: int) -> list[Recording]:
-        """Convert the recorded episodes of pair `i`, in the order of `recorded`."""
-        worlds = [(k, world) for k, world in enumerate(self.recorded) if world // (2 * self.each) == i]
+        """Convert the recorded episodes of lineup `i`, in the order of `recorded`."""
+        worlds = [(k, world) for k, world in enumerate(self.recorded) if world // (self.groups * self.each) == i]
         return [
             episode(self.arena, games, k, seats[world // self.each], self.league, seed, world) for k, world in worlds
         ]
@@ -122,25 +158,29 @@ class MatchEvaluator:
         self.seconds = used(jax.default_backend()) - began
         return games
 
-    def side_orders(self, a: Snapshot, b: Snapshot | None) -> tuple[Sides, Sides]:
-        """Return the sides of the pair's two groups: swapped if both rosters allow it, otherwise twice the same.
+    def side_orders(self, *lineup: Snapshot | None) -> tuple[Sides, ...]:
+        """Return the sides of each of the lineup's groups: its cyclic rotations that rosters allow, repeated in turn.
 
-        Raises StorageError if the rosters are not those of the arena.
+        A pair is therefore swapped in its second group, or plays twice as it is. Where no rotation fits, the snapshots
+        take the first teams that they fit. Raises StorageError if the rosters are not those of the arena.
         """
-        rosters = tuple(team.roster for team in self.arena.teams)
-        orders: list[Sides] = [(a,)] if b is None else [(a, b), (b, a)]
-        possible = [order for order in orders if tuple(s.roster for s in order) == rosters]
+        players, rosters = [s for s in lineup if s is not None], [team.roster for team in self.arena.teams]
+        rotations = [(*players[i:], *players[:i]) for i in range(len(players))]
+        possible = [order for order in rotations if [s.roster for s in order] == rosters] or _by_roster(
+            players, rosters
+        )
         if not possible:
-            other = "" if b is None else f" and {b.name} ({b.roster})"
-            raise StorageError(
-                f"{a.name} ({a.roster}){other} cannot play {self.arena.name}, whose sides are {', '.join(rosters)}"
-            )
-        return possible[0], possible[-1]
+            named = " and ".join(f"{s.name} ({s.roster})" for s in players)
+            raise StorageError(f"{named} cannot play {self.arena.name}, whose sides are {', '.join(rosters)}")
+        return tuple(possible[i % len(possible)] for i in range(self.groups))
 
     def _keys(self, seats: Sequence[Sides], seed: int) -> jax.Array:
-        """Return a random key for each world; if a pair swaps sides, its second group repeats the keys of its first."""
+        """Return a random key for each world; groups of a lineup in its different rotations have the same keys."""
         keys = jax.random.split(jax.random.key(seed), (len(seats), self.each))
-        source = [k - 1 if k % 2 and _swapped(seats, k // 2) else k for k in range(len(seats))]
+        source = []
+        for first in range(0, len(seats), self.groups):
+            rotations = len(set(seats[first : first + self.groups]))
+            source += [first + i - i % rotations for i in range(self.groups)]
         return keys[np.array(source)].reshape(-1)
 
     def _load(self, store: Store, snapshot: Snapshot) -> list[Policy]:
@@ -171,7 +211,7 @@ class MatchEvaluator:
         recording: str | None,
     ) -> Match:  # fmt: skip
         """Return the row of all episodes of pair `i`, with its part of the device time of the batch."""
-        worlds = np.arange(2 * i * self.each, (2 * i + 2) * self.each)
+        worlds = np.arange(self.groups * i * self.each, self.groups * (i + 1) * self.each)
         seconds = self.seconds / self.pairings
         return self.match(games, seats, worlds, a, b, task, seconds, recording, _swapped(seats, i))
 
@@ -185,72 +225,21 @@ class MatchEvaluator:
         return match_row(self.league, self.key, names, games, worlds, at, task, seconds, recording, seed_pairs)
 
 
-def match_row(
-    league: str, key: ArenaKey, names: tuple[str, str | None],
-    games: PlayedEpisodes, worlds: np.ndarray, at: np.ndarray,
-    task: RatingMatch, seconds: float = 0.0, recording: str | None = None, seed_pairs: bool = False,
-) -> Match:  # fmt: skip
-    """Return the complete row of a match. No other function builds one from played episodes.
-
-    Args:
-        league: the league's name.
-        key: the arena under which the match counts.
-        names: the snapshots A and B; no B in an arena of one team.
-        games: the played episodes.
-        worlds: (n,) worlds whose episodes belong to the match.
-        at: (n,) the team of A in each of these worlds.
-        task: the task of the match, which has its seed, its purpose and the time to which it is booked.
-        seconds: device time of the match.
-        recording: digest of its recording.
-        seed_pairs: whether the second half of `worlds` repeats the first half's seeds with swapped sides.
-    """
-    tally, pairs = tallied(games, worlds, at), PairCounts()
-    if seed_pairs:
-        both = tally.valid.reshape(2, -1).all(0)
-        points = tally.results.reshape(2, -1).sum(0)[both]  # -2, -1, 0, 1, 2
-        pairs = PairCounts(*(int((points == p).sum()) for p in (-2, -1, 0, 1, 2)))
-    return Match(
-        league, key, *names, *tally.counts, tally.voids, *tally.home, pairs, task.seed, tally.steps, task.purpose,
-        recording, *tally.broke, seconds=seconds, due=task.due, causes=tally.causes,
-    )  # fmt: skip
+def alternating(each: int, groups: int) -> np.ndarray:
+    """Return the worlds (groups × each,) of groups of `each` worlds, one of each group by turns."""
+    return np.arange(groups * each).reshape(groups, each).T.reshape(-1)
 
 
-def alternating(each: int) -> np.ndarray:
-    """(2 each,) Worlds of two groups of `each` worlds, one of each group by turns."""
-    return np.arange(2 * each).reshape(2, each).T.reshape(-1)
-
-
-class Tally(NamedTuple):
-    """Results of some episodes for A. In an arena of one team a win is a success."""
-
-    results: np.ndarray  # (n,) 1, 0, -1
-    valid: np.ndarray  # (n,) whether the episode is not void
-    counts: tuple[int, int, int]  # wins, draws, losses of the valid ones
-    home: tuple[int, int, int]  # the same, only episodes in which A played team 0
-    voids: int
-    broke: tuple[int, int]  # void episodes in which only A's robots were at fault, only B's
-    steps: int
-    causes: int = 0  # bits of arenas.physics.void_causes that occurred in any void episode
-
-
-def tallied(games: PlayedEpisodes, worlds: np.ndarray, at: np.ndarray) -> Tally:
-    """Count the episodes of these worlds (n,) for A, which played team `at` (n,) of each."""
-    score, valid = np.asarray(games.score)[worlds], ~np.asarray(games.void)[worlds]
-    each, at_fault = np.arange(len(worlds)), np.asarray(games.at_fault)[worlds]
-    alone = (~valid & (at_fault.sum(1) == 1))[:, None] & at_fault
-    if score.shape[1] == 1:
-        results, broke = np.sign(score[:, 0] - 0.5).astype(int), (int(alone.sum()), 0)
-    else:
-        results = np.sign(score[each, at] - score[each, 1 - at]).astype(int)
-        broke = int(alone[each, at].sum()), int(alone[each, 1 - at].sum())
-
-    def counted(which: np.ndarray) -> tuple[int, int, int]:
-        wins, draws, losses = (int((which & (results == r)).sum()) for r in (1, 0, -1))
-        return wins, draws, losses
-
-    counts, home = counted(valid), counted(valid & (at == 0))
-    causes = 0 if games.causes is None else int(np.bitwise_or.reduce(np.asarray(games.causes)[worlds][~valid]))
-    return Tally(results, valid, counts, home, int((~valid).sum()), broke, int(games.decisions[worlds].sum()), causes)
+def _by_roster(players: Sequence[Snapshot], rosters: Sequence[str]) -> list[Sides]:
+    """Return the seating in which each team has the first player left with its roster; none if there is no such."""
+    left, seating = list(players), []
+    for roster in rosters:
+        found = next((s for s in left if s.roster == roster), None)
+        if found is None:
+            return []
+        left.remove(found)
+        seating.append(found)
+    return [] if left else [tuple(seating)]
 
 
 def _swapped(seats: Sequence[Sides], i: int) -> bool:

@@ -17,7 +17,7 @@ from league.queries.recordings import describe_match, highlights, load, recorded
 from league.system.environment import cache_folder
 from storage.errors import StorageError
 from storage.recordings.recording import Recording
-from storage.records import Match
+from storage.records import Match, RankedMatch
 
 REST_SECONDS = 20.0
 """Rest of the thread between two looks at the league, so that a league that plays without a pause costs little."""
@@ -58,7 +58,7 @@ def _clips(opened: Open, most: int, progress: Progress) -> Iterator[ShownClip]:
         yield ShownClip(clip.path, _caption(kind, match, recording, clip))
 
 
-def _caption(kind: str, match: Match, recording: Recording, clip: Clip) -> str:
+def _caption(kind: str, match: Match | RankedMatch, recording: Recording, clip: Clip) -> str:
     part = f", the last {clip.end - clip.begin:.0f} s of it" if clip.begin > recording.time[0] else ""
     return f"{kind.capitalize()}. {describe_match(match, recording)}{part}. In 3D: `league watch {match.id}`."
 

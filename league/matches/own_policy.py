@@ -9,8 +9,9 @@ from league.matches.adhoc_matches import Pairing
 from league.snapshots.programs import callables, importing, stored
 from league.snapshots.programs.kinds import kind_of
 from league.state.jobs import RatingMatch
+from league.state.match_results import results_of
 from matchmaking.ratings.payoff import Score, score_interval
-from storage.records import Snapshot
+from storage.records import Match, RankedMatch, Snapshot
 
 if TYPE_CHECKING:
     from league.queries.query import Open
@@ -61,26 +62,34 @@ class Policy:
         return importing.bring_in(league, program, roster, name)
 
     def play(self, league: "Open", opponent: str | None = None, episodes: int = 128, team: str | None = None) -> Score:
-        """Play an even number of episodes against a snapshot of a league, and return the score; the store keeps none.
+        """Play a number of episodes against a snapshot of a league, and return the score; the store keeps none.
 
-        Sides are swapped if rosters allow. In an arena of one team there is no opponent. Raises StorageError or
+        The number is even, or a multiple of more teams. Sides are swapped if rosters allow. With several other teams
+        the opponent plays each of them. In an arena of one team there is no opponent. Raises StorageError or
         ConfigError, one line, if the policy does not fit the team or cannot meet the opponent.
         """
         roster = importing.roster_of(league, team)
         own = Snapshot(league.league, self._name, f"policy {id(self)}", roster, origin="imported")
-        found = Pairing(league, own, None if opponent is None else league.snapshot(opponent))
-        evaluator = found.evaluator(2 * -(-episodes // 2))
+        other, groups = (
+            None if opponent is None else league.snapshot(opponent),
+            max(2, len({p.team for p in league.store.players(league.league)})),
+        )
+        found = Pairing(league, own, other, () if other is None else (other,) * (groups - 2))
+        evaluator = found.evaluator(groups * -(-episodes // groups))
         evaluator.hold(own, [*self._policies(roster)])
         seats, task = (
-            evaluator.side_orders(own, found.b),
+            evaluator.side_orders(*found.players),
             RatingMatch((found.pair,), found.seed("policy"), record=False),
         )
         games = evaluator.games(league.store, seats, task.seed)
-        match = evaluator.pair_match(games, 0, own, found.b, seats, task, None)
-        counts = match.wins, match.draws, match.losses
-        number, (low, high) = sum(counts), score_interval(*counts)
-        score = (match.wins + match.draws / 2) / number if number else float("nan")
-        return Score(score, float(low), float(high), number, match.voids)
+        if found.others:
+            matches: Sequence[Match | RankedMatch] = evaluator.ranked_matches(league.store, games, 0, seats, task)
+        else:
+            matches = [evaluator.pair_match(games, 0, own, found.b, seats, task, None)]
+        wins, draws, losses = map(sum, zip(*(results_of(match, own.name) for match in matches), strict=True))
+        number, (low, high) = wins + draws + losses, score_interval(wins, draws, losses)
+        score = (wins + draws / 2) / number if number else float("nan")
+        return Score(score, float(low), float(high), number, sum(match.voids for match in matches))
 
     def _policies(self, roster: str) -> list[HostPolicy]:
         if self._kind is not None:

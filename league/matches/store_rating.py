@@ -7,13 +7,14 @@ league's own.
 
 import time
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from league.config.experiment import Config
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
-from league.scheduling.match_scheduler import Pair, rating_job
+from league.scheduling.lineups import Lineup, complete
+from league.scheduling.match_scheduler import rating_job
 from league.scheduling.progress_metrics import can_meet
 from league.state.jobs import RatingMatch, decode
 from league.state.league_state import LeagueState
@@ -64,15 +65,15 @@ def rate(
         spent = time.monotonic() - began >= limits.seconds
         if enough or spent or (limits.episodes is not None and episodes >= limits.episodes):
             return
-        pairs = _pairs(state, players, config.rating.episodes_per_pair, evaluator.pairings)
-        if not pairs:
+        lineups = _lineups(state, players, config.rating.episodes_per_pair, evaluator.pairings)
+        if not lineups:
             return
-        job = rating_job(config, state, pairs, None)
+        job = rating_job(config, state, lineups, None)
         task = decode(job)
         assert isinstance(task, RatingMatch)
         matches = evaluator.play(store, task)
         store.file(job, matches)
-        episodes += sum(m.wins + m.draws + m.losses + m.voids for m in matches)
+        episodes += sum(m.episodes + m.voids for m in matches)
 
 
 def _widest(ladder: Ladder, players: list[Snapshot]) -> float | None:
@@ -86,8 +87,8 @@ def _widest(ladder: Ladder, players: list[Snapshot]) -> float | None:
     return max((2 * float(found.quantile * found.stderr[ladder.payoff.index(name)]) for name in rated), default=0.0)
 
 
-def _pairs(state: LeagueState, players: list[Snapshot], quota: int, room: int) -> list[Pair]:
-    """Return the pairs of the next batch; empty if none of these snapshots can meet."""
+def _lineups(state: LeagueState, players: list[Snapshot], quota: int, room: int) -> list[Lineup]:
+    """Return the lineups of the next batch; empty if none of these snapshots can meet."""
     if state.one_team:
         order = sorted(players, key=lambda s: state.ladder.trial_episodes(s.name))
         return [(s.name, None) for s in order[:room]]
@@ -99,10 +100,11 @@ def _pairs(state: LeagueState, players: list[Snapshot], quota: int, room: int) -
     if not any(may_meet(a, b) for a in known for b in known if a < b):
         return []
     found: list[tuple[str, str]] = []
+    among = replace(state, snapshots=players)
     while not found:
         found = pairings(
             state.ladder, list(known), quota=quota, per_batch=room, may_meet=may_meet,
             kinds={s.name: f"roster {s.roster}" for s in players},
         )  # fmt: skip
         quota *= 2
-    return [*found]
+    return complete(found, among, quota)

@@ -1,16 +1,18 @@
 """Choice of a recorded match: by its number, the newest, between the best players, or the greatest upset."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from league.queries.query import Open
+from league.state.match_results import results_of
 from matchmaking.ratings.ladder import Ladder
 from storage.errors import DamagedBlob, StorageError, Unavailable, UnknownName
 from storage.recordings.recording import Recording, RecordingError, RecordingHeader, from_bytes, headers
 from storage.recordings.salvage import salvage
-from storage.records import Match
+from storage.records import Match, RankedMatch
 
 NEAR = 5  # most numbers of other matches in the message about an unknown match
 
@@ -34,19 +36,19 @@ HIGHLIGHTS = {
 """Kinds of matches that a page shows, in this order."""
 
 
-def chosen(opened: Open, query: RecordingQuery) -> Match:
+def chosen(opened: Open, query: RecordingQuery) -> Match | RankedMatch:
     """Return the requested match. Raises StorageError, one line, if there is none of that kind."""
     if query.match is not None:
         return _numbered(opened, query.match)
     return _select(opened, recorded(opened), query)
 
 
-def highlights(opened: Open, most: int) -> list[tuple[str, Match]]:
+def highlights(opened: Open, most: int) -> list[tuple[str, Match | RankedMatch]]:
     """Return up to `most` recorded matches, none twice, each with its kind of HIGHLIGHTS; the newest comes first.
 
     Raises StorageError if there is none.
     """
-    matches, found = recorded(opened), dict[int, tuple[str, Match]]()
+    matches, found = recorded(opened), dict[int, tuple[str, Match | RankedMatch]]()
     for kind, query in HIGHLIGHTS.items():
         if len(found) >= most:
             break
@@ -56,7 +58,7 @@ def highlights(opened: Open, most: int) -> list[tuple[str, Match]]:
     return list(found.values())
 
 
-def _select(opened: Open, matches: list[Match], query: RecordingQuery) -> Match:
+def _select(opened: Open, matches: list[Match | RankedMatch], query: RecordingQuery) -> Match | RankedMatch:
     found = _among(opened, matches, query)
     if not (query.upset or query.best or query.closest):
         return found[-1] if query.between else _newest(opened, found)
@@ -68,9 +70,9 @@ def _select(opened: Open, matches: list[Match], query: RecordingQuery) -> Match:
     return _upset(opened, found) if query.upset else _best(opened, found)
 
 
-def recorded(opened: Open) -> list[Match]:
+def recorded(opened: Open) -> list[Match | RankedMatch]:
     """Return all recorded matches, oldest first. Raises StorageError if there is none."""
-    found = [m for m in opened.store.matches(opened.league) if m.recording is not None]
+    found = [m for m in opened.store.log(opened.league) if m.recording is not None]
     if not found:
         raise StorageError(
             f"League {opened.league} has no recorded match yet: `league run` plays and records some, except in games"
@@ -79,12 +81,12 @@ def recorded(opened: Open) -> list[Match]:
     return found
 
 
-def following(opened: Open, poll: float = 1.0) -> Iterator[Match]:
+def following(opened: Open, poll: float = 1.0) -> Iterator[Match | RankedMatch]:
     """Yield the newest recorded match, then each as it is filed, without end. Waits while the store is away."""
     last: int | None = None
     while True:
         with suppress(Unavailable):
-            new = [m for m in opened.store.matches(opened.league, after=last or 0) if m.recording is not None]
+            new = [m for m in opened.store.log(opened.league, after=last or 0) if m.recording is not None]
             for match in new if last is not None else new[-1:]:
                 last = match.id
                 yield match
@@ -92,7 +94,7 @@ def following(opened: Open, poll: float = 1.0) -> Iterator[Match]:
         time.sleep(poll)
 
 
-def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) -> tuple[Recording, str]:
+def load(opened: Open, match: Match | RankedMatch, episode: int = 0, recover: bool = False) -> tuple[Recording, str]:
     """Load one recorded episode of a match, and a description of what is missing.
 
     With `recover`, the readable part of a damaged recording is loaded, and the text describes the missing part.
@@ -112,15 +114,15 @@ def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) ->
         return salvage(error.data, episode)
 
 
-def describe_match(match: Match, recording: Recording) -> str:
+def describe_match(match: Match | RankedMatch, recording: Recording) -> str:
     """Describe a match in a line."""
     header = recording.header
     what = "Training" if match.purpose == "training" else "Match"
     return f"{what} {match.id}: {' against '.join(header.sides)}, {header.outcome}, {recording.time[-1]:.1f} s"
 
 
-def _numbered(opened: Open, number: int) -> Match:
-    matches = opened.store.matches(opened.league)
+def _numbered(opened: Open, number: int) -> Match | RankedMatch:
+    matches = opened.store.log(opened.league)
     found = next((m for m in matches if m.id == number), None)
     if found is not None and found.recording is not None:
         return found
@@ -132,7 +134,7 @@ def _numbered(opened: Open, number: int) -> Match:
     raise StorageError(f"{what}; recorded near it: {there or 'none'}. `league matches` lists all.")
 
 
-def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Match]:
+def _among(opened: Open, matches: list[Match | RankedMatch], query: RecordingQuery) -> list[Match | RankedMatch]:
     """Return the recorded matches of the named players or snapshots."""
     snapshots = {s.name: s for s in opened.store.snapshots(opened.league, brief=True)}
     for name in query.between:
@@ -143,10 +145,10 @@ def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Ma
         raise UnknownName("player", query.player, players)
     matches = _of_snapshots(matches) if query.between else matches
     of = {name: snapshot.player for name, snapshot in snapshots.items()}
-    between = sorted(query.between)
+    between = Counter(query.between)
     found = [
         m for m in matches
-        if between in ([], sorted(_sides(m))) and (query.player is None or query.player in map(of.get, _sides(m)))
+        if between <= Counter(m.players) and (query.player is None or query.player in map(of.get, m.players))
     ]  # fmt: skip
     if not found:
         who = " and ".join(query.between) or query.player
@@ -154,30 +156,30 @@ def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Ma
     return found
 
 
-def _of_snapshots(matches: Sequence[Match]) -> list[Match]:
+def _of_snapshots(matches: Sequence[Match | RankedMatch]) -> list[Match | RankedMatch]:
     """Return the matches between snapshots. In training matches, names of snapshots only stand for later policies."""
     return [m for m in matches if m.purpose != "training"]
 
 
-def _newest(opened: Open, matches: Sequence[Match]) -> Match:
-    """Return the newest match between two snapshots of players, the later the older one was frozen; else any newest.
+def _newest(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | RankedMatch:
+    """Return the newest match between snapshots of players, the later the older one was frozen; else any newest.
 
     The newest match of all is often one against a script or an old snapshot, which shows little of what was learnt.
     """
     frozen = {s.name: s.iteration for s in opened.store.snapshots(opened.league, brief=True) if s.player}
-    known = [m for m in matches if frozen.keys() >= set(_sides(m))]
-    return max(known, key=lambda m: (min(frozen[side] for side in _sides(m)), m.id)) if known else matches[-1]
+    known = [m for m in matches if frozen.keys() >= set(m.players)]
+    return max(known, key=lambda m: (min(frozen[side] for side in m.players), m.id)) if known else matches[-1]
 
 
-def _closest(matches: Sequence[Match]) -> Match:
+def _closest(matches: Sequence[Match | RankedMatch]) -> Match:
     """Return the match between two snapshots whose score was nearest to one half, the newest of equals."""
-    rivals = [m for m in matches if m.b is not None and m.wins + m.draws + m.losses]
+    rivals = [m for m in matches if isinstance(m, Match) and m.b is not None and m.episodes]
     if not rivals:
         raise StorageError("No recorded match here has two sides, so none was close.")
-    return min(rivals, key=lambda m: (abs(m.wins - m.losses) / (m.wins + m.draws + m.losses), -m.id))
+    return min(rivals, key=lambda m: (abs(m.wins - m.losses) / m.episodes, -m.id))
 
 
-def _best(opened: Open, matches: Sequence[Match]) -> Match:
+def _best(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | RankedMatch:
     """Return the match whose weaker side has the best present rating, the newest of equals, in the newest arena."""
     key = matches[-1].arena  # Elo of two ladders cannot be compared
     ladder = opened.ladder(key)
@@ -186,27 +188,28 @@ def _best(opened: Open, matches: Sequence[Match]) -> Match:
         {s.name for s in opened.store.snapshots(opened.league, brief=True) if s.player},
     )
 
-    def interest(match: Match) -> tuple[bool, float, int]:
-        return learnt.issuperset(_sides(match)), min(map(strength, _sides(match))), match.id
+    def interest(match: Match | RankedMatch) -> tuple[bool, float, int]:
+        return learnt.issuperset(match.players), min(map(strength, match.players)), match.id
 
     return max((m for m in matches if m.arena == key), key=interest)
 
 
-def _upset(opened: Open, matches: Sequence[Match]) -> Match:
-    """Return the recorded match with the winner rated furthest below the loser, by the ratings known now."""
+def _upset(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | RankedMatch:
+    """Return the recorded match whose winner was rated furthest below another, by the ratings known now."""
     key = matches[-1].arena
     ladder = opened.ladder(key)
     strength = _strength(ladder)
 
-    def gap(match: Match) -> float:
-        return abs(strength(match.a) - strength(str(match.b)))
+    def gap(match: Match | RankedMatch) -> float:
+        rated = [strength(name) for name in match.players]
+        return max(rated) - min(rated)
 
-    rivals = [m for m in matches if m.arena == key and m.b is not None and ladder.known(m.a) and ladder.known(m.b)]
+    rivals = [m for m in matches if m.arena == key and len(m.players) > 1 and all(map(ladder.known, m.players))]
     for match in sorted(rivals, key=gap, reverse=True):
-        weaker_wins = match.wins if strength(match.a) < strength(str(match.b)) else match.losses
-        if weaker_wins and gap(match) > 0:
+        weakest = min(match.players, key=strength)
+        if results_of(match, weakest)[0] and gap(match) > 0:
             first = headers(opened.store.blobs.get(str(match.recording)))[0]
-            if _won(first) == min(_sides(match), key=strength):
+            if _won(first) == weakest:
                 return match
     raise StorageError(f"In no recorded match of league {opened.league} the weaker side won, as far as they are rated.")
 
@@ -216,10 +219,6 @@ def _won(header: RecordingHeader) -> str | None:
     first = max(range(len(header.score)), key=header.score.__getitem__)
     even = header.outcome == "void" or header.score.count(header.score[first]) > 1
     return None if even else header.sides[first]
-
-
-def _sides(match: Match) -> list[str]:
-    return [side for side in (match.a, match.b) if side is not None]
 
 
 def _strength(ladder: Ladder) -> Callable[[str], float]:

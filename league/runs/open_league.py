@@ -12,7 +12,7 @@ from league.queries.ratings.metagame import table
 from league.runs.episode import Episode
 from storage.errors import StorageError
 from storage.recordings.recording import headers
-from storage.records import Match
+from storage.records import Match, RankedMatch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -100,7 +100,7 @@ class OpenLeague(Open):
         count = len(headers(self.store.blobs.get(str(chosen.recording))))
         return [self._episode(chosen, number) for number in range(count)]
 
-    def _episode(self, match: Match, number: int) -> Episode:
+    def _episode(self, match: Match | RankedMatch, number: int) -> Episode:
         recording, _ = recordings.load(self, match, number)
         return Episode(match.id, recording, players_of(self, match, recording.header.sides))
 

@@ -26,7 +26,7 @@ class RatingJobs:
     def play(self, lease: Lease, task: RatingMatch) -> None:
         """Play the matches of a job and finish it. Raises LeaseLost, and any error of playing."""
         worker, evaluator = self._worker, self._compiled()
-        worker.status = {**worker.status, "doing": "rating", "pairs": len(task.pairs)}
+        worker.status = {**worker.status, "doing": "rating", "pairs": len(task.lineups)}
         matches = evaluator.play(worker.store, task)
         rate = sum(match.steps for match in matches) / max(evaluator.seconds, 1e-9)  # of the device, without pauses
         worker.status = {**worker.status, "steps_per_second": rate}  # a new dict, since the heartbeat reads it

@@ -13,7 +13,7 @@ from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.state.team_exchange import as_made
 from league.system import devices, memory
-from league.system.arena_build import build, worlds
+from league.system.arena_build import build, rating_batch, worlds
 from league.training.reward_shaping import chance_score
 from matchmaking.opponents import Opponents
 from storage.records import Player
@@ -46,6 +46,7 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
         message = f"{arena.name} has {len(teams)} teams, each of which gets {least:.3g} for nothing; use more than that"
         raise refuse(("training", "shaping_until"), until, message)
     _validate_groups(config, teams)
+    _validate_rating(config, teams)
     _validate_opponents(config, arena)
     _validate_players(config, teams)
     _validate_ladder(config, arena)
@@ -119,6 +120,14 @@ def _validate_groups(config: Config, teams: list[str]) -> None:
                 f" {count} worlds there can be no {groups} groups; use more training.worlds, or fewer groups"
             )
             raise refuse(("training", "opponents", "groups"), config.training.opponents.groups, message)
+
+
+def _validate_rating(config: Config, teams: list[str]) -> None:
+    """Raise ConfigError if a batch of rating matches has fewer worlds than teams of its lineups."""
+    batch = rating_batch(config)
+    if batch.worlds < batch.pairings * len(teams):
+        message = f"each of {batch.pairings} lineups needs a world for each of {len(teams)} seatings"
+        raise refuse(("rating", "worlds"), batch.worlds, f"{message}; use {batch.pairings * len(teams)} or more")
 
 
 def rules(config: Config, teams: list[str]) -> list[tuple[Key, Opponents]]:

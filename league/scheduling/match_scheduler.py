@@ -7,12 +7,14 @@ matches get the whole device. `league/scheduling/turn_scheduler.py` schedules th
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from zlib import crc32
 
 import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
+from league.scheduling.lineups import Lineup, complete
 from league.scheduling.progress_metrics import can_meet, newest_snapshots, required_opponents
 from league.scheduling.rating_budget import next_slot
 from league.scheduling.training_progress import TrainingProgress
@@ -26,7 +28,6 @@ from storage.records import Job, Phase
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
 PATIENCE = 120.0  # seconds of training
-Pair = tuple[str, str | None]
 
 
 def is_rating(state: LeagueState) -> bool:
@@ -69,10 +70,11 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
 
     While players learn, each newest snapshot meets the newest snapshots of all other players, its reference opponents
     and its own past snapshots, for `episodes_per_pair` episodes each (matchmaking/match_design.py); the remaining
-    episodes go to the pool. Where a success rate ends training, trials begin when training itself reaches it. No batch
-    is queued before the previous one has been paid for (league/scheduling/rating_budget.py), nor before any player has
-    learnt. After the end of training the same pairs play `final_episodes_per_pair` episodes each. Pairs of a batch that
-    was set aside are played one by one, and a pair that was set aside alone is not played again.
+    episodes go to the pool. In arenas of more teams others complete such a pair (league/scheduling/lineups.py). Where a
+    success rate ends training, trials begin when training itself reaches it. No batch is queued before the previous one
+    has been paid for (league/scheduling/rating_budget.py), nor before any player has learnt. After the end of training
+    the same pairs play `final_episodes_per_pair` episodes each. Lineups of a batch that was set aside are played one by
+    one, and one that was set aside alone is not played again.
 
     `progress` is the training progress of this planning pass, by default computed here.
     """
@@ -88,11 +90,12 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
             return Plan()
     alone, never = _set_aside(state)
     if alone:
-        return Plan(tuple(rating_job(config, state, [pair], due) for pair in alone))
+        return Plan(tuple(rating_job(config, state, [lineup], due) for lineup in alone))
     each = batch_sizes.batch(rating, "cpu").pairings  # the manager's settings have the number of its own device
     room = each * max(1, config.workers.match)
-    pairs = [pair for pair in _wanted(config, state, progress.finished, room + len(never)) if pair not in never][:room]
-    batches = [pairs[i : i + each] for i in range(0, len(pairs), each)]
+    wanted = _wanted(config, state, progress.finished, room + len(never))
+    lineups = [lineup for lineup in wanted if lineup not in never][:room]
+    batches = [lineups[i : i + each] for i in range(0, len(lineups), each)]
     return Plan(tuple(rating_job(config, state, batch, due) for batch in batches))
 
 
@@ -110,7 +113,7 @@ def _too_early(config: Config, state: LeagueState, progress: TrainingProgress) -
     return progress.seconds - last < PATIENCE and all(share < target for share in state.successes.values())
 
 
-def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[Pair]:
+def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[Lineup]:
     if state.one_team:
         return _trials(config, state, over)[:room]
     frozen = {s.name: s for s in state.snapshots if s.thinned is None}
@@ -120,21 +123,23 @@ def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[P
 
     target_episodes = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
     required = required_opponents(config, state, over)
-    found: list[Pair] = []
-    found += missing_pairs(
+    missing = missing_pairs(
         state.ladder.payoff, required, quota=config.rating.episodes_per_pair, target_episodes=target_episodes
-    )[:room]
+    )
+    found = complete(missing, state)[:room]
     if len(found) < room:
         pool = pairings(
             state.ladder, list(frozen), quota=config.rating.episodes_per_pair, per_batch=room, may_meet=may_meet,
             kinds={s.name: f"roster {s.roster}" for s in state.snapshots},
         )  # fmt: skip
-        met = {frozenset(pair) for pair in found}
-        found += [pair for pair in pool if frozenset(pair) not in met]
+        met = {frozenset(lineup) for lineup in found}
+        found += [
+            lineup for lineup in complete(pool, state, config.rating.episodes_per_pair) if frozenset(lineup) not in met
+        ]
     return found[:room]
 
 
-def _trials(config: Config, state: LeagueState, over: bool) -> list[Pair]:
+def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
     """Return the snapshots of an arena of one team that have not played their quota, newest first.
 
     If training waits for a success rate, no batch consists of older snapshots only, because the newest snapshot would
@@ -154,44 +159,45 @@ def _trials(config: Config, state: LeagueState, over: bool) -> list[Pair]:
     return [(name, None) for name in found]
 
 
-def _set_aside(state: LeagueState) -> tuple[list[Pair], set[Pair]]:
-    """Return the pairs of failed batches, to be played alone now, and the pairs that failed alone.
+def _set_aside(state: LeagueState) -> tuple[list[Lineup], set[Lineup]]:
+    """Return the lineups of failed batches, to be played alone now, and the lineups that failed alone.
 
-    A failed batch whose pairs have met since is ignored: the key of a new batch of these pairs would differ.
+    A failed batch whose pairs have met since is ignored: the key of a new batch of them would differ.
     """
-    together: dict[Pair, None] = {}
-    never: set[Pair] = set()
+    together: dict[Lineup, None] = {}
+    never: set[Lineup] = set()
     for job in state.jobs:
         if job.kind == RatingMatch.kind and job.state == "failed":
             task = decode(job)
             assert isinstance(task, RatingMatch)
-            if len(task.pairs) == 1:
-                never.add(task.pairs[0])
-            elif encode(job.league, task, _about(state, task.pairs)).key == job.key:
-                together |= dict.fromkeys(task.pairs)
-    return [pair for pair in together if pair not in never], never
+            if len(task.lineups) == 1:
+                never.add(task.lineups[0])
+            elif encode(job.league, task, _about(state, task.lineups)).key == job.key:
+                together |= dict.fromkeys(task.lineups)
+    return [lineup for lineup in together if lineup not in never], never
 
 
-def _episodes(state: LeagueState, pair: Pair) -> int:
-    """Count the episodes that the pair has played, void episodes included."""
-    a, b = pair
-    if b is None:
-        return state.ladder.trial_episodes(a)
+def _episodes(state: LeagueState, lineup: Lineup) -> int:
+    """Count the episodes that the pairs of a lineup have played, void episodes included."""
+    names = [name for name in lineup if name is not None]
+    if len(names) == 1:
+        return state.ladder.trial_episodes(names[0])
     payoff = state.ladder.payoff
-    met = payoff.between(np.array(payoff.index(a)), np.array(payoff.index(b)))
-    return int(met[:3].sum() + met[8])
+    first, second = np.array([[payoff.index(name) for name in pair] for pair in combinations(names, 2)]).T
+    met = payoff.between(first, second)
+    return int(met[:, :3].sum() + met[:, 8].sum())
 
 
-def _about(state: LeagueState, pairs: Sequence[Pair]) -> list[list]:
-    """Return the identity of a batch. It includes the episodes played so far, so the same pairs may meet again."""
-    return [[*pair, _episodes(state, pair)] for pair in pairs]
+def _about(state: LeagueState, lineups: Sequence[Lineup]) -> list[list]:
+    """Return the identity of a batch. It includes the episodes played so far, so the same lineups may meet again."""
+    return [[*lineup, _episodes(state, lineup)] for lineup in lineups]
 
 
-def rating_job(config: Config, state: LeagueState, pairs: Sequence[Pair], due: float | None) -> Job:
-    """Return the job of a batch of these pairs, booked to second `due` of training; None: after training."""
-    about = _about(state, pairs)
+def rating_job(config: Config, state: LeagueState, lineups: Sequence[Lineup], due: float | None) -> Job:
+    """Return the job of a batch of these lineups, booked to second `due` of training; None: after training."""
+    about = _about(state, lineups)
     seed = crc32(f"{config.seed}/{about}".encode())
-    return encode(config.league, RatingMatch(tuple(pairs), seed, record=config.rating.record, due=due), about)
+    return encode(config.league, RatingMatch(tuple(lineups), seed, record=config.rating.record, due=due), about)
 
 
 def rating_goes_on(config: Config, state: LeagueState) -> bool:

@@ -121,7 +121,8 @@ def _read(store: Store, digest: str, table: str) -> bytes:
     try:
         return store.blobs.get(digest)
     except DamagedBlob as error:
-        more = {"matches": "--no-recordings packs without it", "checkpoints": "--newest packs without old checkpoints"}
+        more = dict.fromkeys((each.name for each in row_transfer.MATCHES), "--no-recordings packs without it")
+        more["checkpoints"] = "--newest packs without old checkpoints"
         hint = f" (one of {table}; {more[table]})" if table in more else f" (one of {table})"
         raise StorageError(f"{error}{hint}") from error
 
@@ -153,8 +154,8 @@ def unpack(
             for done, digest in enumerate(archive.blobs):
                 tell("blobs", done, len(archive.blobs))
                 store.blobs.put(archive.blob(digest))
-            store.restore((table, _arriving(archive, table, names, kept, tell)) for table in row_transfer.TABLES)
-        rows = {table: archive.rows[table]["rows"] for table in row_transfer.TABLES}
+            store.restore((table, _arriving(archive, table, names, kept, tell)) for table in _tables(archive))
+        rows = {table: archive.rows[table]["rows"] for table in _tables(archive)}
         return Moved(tuple(names.values()), rows, len(archive.blobs), path.stat().st_size)
 
 
@@ -172,6 +173,11 @@ def renamed(archive: ArchiveReader, leagues: Sequence[str], named: str | None) -
             " pack one of them alone, or unpack them under their own names",
         )
     return {name: named + name.removeprefix(root) for name in leagues}
+
+
+def _tables(archive: ArchiveReader) -> list[str]:
+    """Return the tables that the archive has, in the order of their references."""
+    return [table for table in row_transfer.TABLES if table in archive.rows]
 
 
 def _configs(archive: ArchiveReader) -> dict[str, str]:
@@ -193,7 +199,8 @@ def _examine(archive: ArchiveReader, tell: Tell) -> list[str]:
         packer = packer.get("robot-league", "?") if isinstance(packer, dict) else "?"
         how = "update robot-league" if schema > known else f"unpack it with robot-league {packer}, then open that store"
         raise archive.error(f"its rows are of schema {schema}, and this program's of {known}: {how}")
-    if missing := row_transfer.TABLES.keys() - archive.rows.keys():
+    added = {table for table, since in row_transfer.ADDED_TABLES.items() if schema < since}
+    if missing := row_transfer.TABLES.keys() - archive.rows.keys() - added:
         raise archive.error(f"it lacks the rows of {min(missing)}")
     try:
         for name in leagues:
@@ -201,7 +208,7 @@ def _examine(archive: ArchiveReader, tell: Tell) -> list[str]:
                 raise ValueError(f"{name!r} is no name of a league")
             check_name(name)
         check = row_transfer.RowChecker(leagues, archive.blobs)
-        for table in row_transfer.TABLES:
+        for table in _tables(archive):
             for done, row in enumerate(archive.table(table), start=1):
                 tell(f"checking {table}", done, archive.rows[table]["rows"])
                 check.row(table, done, row)

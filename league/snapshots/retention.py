@@ -38,8 +38,8 @@ def may_go(opened: Open, per_doubling: int) -> set[str]:
     store, league = opened.store, opened.league
     snapshots = [s for s in store.snapshots(league, brief=True) if s.thinned is None]
     kept = set(strings_in(tomllib.loads(store.league(league).config)))
-    for match in store.matches(league, ("gate", "exploit", "exhibition")):
-        kept |= {match.a, match.b or ""}
+    for match in store.log(league, ("gate", "exploit", "exhibition")):
+        kept.update(match.players)
     best = _best(opened)
     marks = [seconds(mark) for mark in opened.setting("rating", "milestones", otherwise=list(Rating().milestones))]
     for player in store.players(league):

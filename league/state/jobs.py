@@ -36,11 +36,14 @@ class TrainingTurn:
 
 @dataclass(frozen=True)
 class RatingMatch:
-    """Pairs of snapshots that play a batch of episodes; in an arena of one team the second of a pair is None."""
+    """Lineups of snapshots, one for each team, that play a batch of episodes.
+
+    In an arena of one team a lineup is a snapshot and None.
+    """
 
     kind: ClassVar[str] = "match"
 
-    pairs: tuple[tuple[str, str | None], ...]
+    lineups: tuple[tuple[str | None, ...], ...]
     seed: int
     purpose: str = "rating"
     record: bool = True
@@ -48,7 +51,7 @@ class RatingMatch:
 
 
 Task = TrainingTurn | RatingMatch
-STORED_NAMES = {"chances": "odds", "retry": "dice"}
+STORED_NAMES = {"chances": "odds", "retry": "dice", "lineups": "pairs"}
 """Names under which stored jobs have these fields."""
 KINDS: Mapping[str, type[Task]] = {task.kind: task for task in (TrainingTurn, RatingMatch)}
 
@@ -88,7 +91,7 @@ def references(job: Job) -> list[tuple[str, str]]:
         return []
     task = decode(job)
     if isinstance(task, RatingMatch):
-        return [("snapshots", name) for pair in task.pairs for name in pair if name is not None]
+        return [("snapshots", name) for lineup in task.lineups for name in lineup if name is not None]
     players = (*task.learners, *task.present, *task.bases)
     past = (name for groups in task.past.values() for seats in groups for name in seats)
     return [*(("players", name) for name in players if name), *(("snapshots", name) for name in past if name)]

@@ -21,6 +21,7 @@ from storage.records import (
     Meeting,
     Phase,
     Player,
+    RankedMatch,
     Snapshot,
 )
 from storage.store import Store
@@ -212,7 +213,7 @@ def _averages(
     return rewards, successes
 
 
-def _batches(last: Batches | None, new: Sequence[Match]) -> Batches | None:
+def _batches(last: Batches | None, new: Sequence[Match | RankedMatch]) -> Batches | None:
     """Return the newest batches, given the newest before the `new` matches."""
     for match in new:
         if match.due is not None:
@@ -233,7 +234,7 @@ class _Log(NamedTuple):
     @classmethod
     def of(cls, store: Store, league: str, before: LeagueState, arena: ArenaKey | None, pool: Pool) -> "_Log":
         """Read the log for one ladder: add new matches to `before`, or take the log's sums for a new ladder."""
-        new = store.matches(league, RATED_PURPOSES, after=before.read) if before.read else []
+        new = store.log(league, RATED_PURPOSES, after=before.read) if before.read else []
         key = arena or (new[-1].arena if new else before.arena)
         if not before.read or key != before.arena:
             return cls._summed(store, league, arena, pool)

@@ -82,13 +82,13 @@ class Matchups:
         Args:
             player: the learner.
             iteration: its iteration at the end of the turn.
-            results: (groups, 4) its wins, draws, losses and voids in each group of worlds.
+            results: (groups, teams, 4) its wins, draws, losses and voids against each team in each group of worlds.
         """
         sums: dict[str, np.ndarray] = {}
         for k in self._groups_of(player.name):
             for team, name in enumerate(self.assigned[k]):
                 if team != player.team:
-                    sums[name] = sums.get(name, 0) + results[k]
+                    sums[name] = sums.get(name, 0) + results[k, team]
         drawn = self.turn.chances.get(player.name, {})
         found = []
         for name in sorted(sums):

@@ -17,8 +17,8 @@ SCORE, WEIGHT = "shaping.score", "shaping.weight"  # in a player's checkpoint
 
 
 def chance_score(teams: int) -> float:
-    """Return the score that needs no skill: an even share, or 0 for a team alone."""
-    return 1 / teams if teams > 1 else 0.0
+    """Return the score that needs no skill: ½ against others, or 0 for a team alone."""
+    return 0.5 if teams > 1 else 0.0
 
 
 def by_steps(training: Training, steps: int) -> float:

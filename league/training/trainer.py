@@ -114,7 +114,7 @@ class Trainer:
         matchups = self._matchups(store, turn)
         worlds, collect = self._prepare(matchups, turn)
         began, before, steps = time.monotonic(), dict(pool.counters), 0
-        met = {name: np.zeros((matchups.groups, 4)) for name in turn.learners}
+        met = {name: np.zeros((matchups.groups, len(self.arena.teams), 4)) for name in turn.learners}
 
         for left in reversed(range(turn.iterations)):
             with self._gpu_lock.training():

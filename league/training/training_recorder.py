@@ -21,7 +21,7 @@ from agents.rollout.rollout import PlayedEpisodes, make_play
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.matches.episode_recording import episode
-from league.matches.evaluator import match_row
+from league.matches.match_rows import match_row, ranked_row
 from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.team_exchange import as_made
 from league.system.compiled import Compiled
@@ -29,7 +29,7 @@ from league.training.learner_factory import batch_of
 from league.training.learner_pool import LearnerPool
 from league.training.matchups import Matchups
 from storage.recordings.recording import to_bytes
-from storage.records import ArenaKey, Match, Snapshot
+from storage.records import ArenaKey, Match, RankedMatch, Snapshot
 from storage.store import Store
 
 EVERY = 100  # learning iterations between two recordings on a CPU, unless settings say otherwise
@@ -40,7 +40,7 @@ class TrainingRecorder:
 
     def __init__(self, config: Config, pool: LearnerPool):
         self.config, self.pool = config, pool
-        self.matches: list[Match] = []  # of this turn, to be written with it
+        self.matches: list[Match | RankedMatch] = []  # of this turn, to be written with it
         visible = bool(pool.arena.scene.agents)  # a game without bodies has nothing to show
         every = config.training.record_every
         if every is None:  # the cost of compiling it on a GPU that trains was not measured
@@ -87,7 +87,7 @@ class TrainingRecorder:
         matchups: Matchups,
         stacks: Mapping[str, PolicyStack],
         judges: Collection[str],
-    ) -> Match:
+    ) -> Match | RankedMatch:
         arena, play = self._stage = self._stage or self._built()
         at = self.pool.counters[turn.learners[0]].iteration
         seed = crc32(f"{self.config.seed}/{turn.group}/{turn.retry}/recording/{turn.learners[0]}@{at}".encode())
@@ -100,12 +100,14 @@ class TrainingRecorder:
             arena, played, int(games.decisions[0]), [name if name in judges else "" for name in assigned]
         )
         recording = episode(arena, games, 0, sides, self.pool.league, seed, 0, values)
-        a, *b = (self._filed(name, matchups) for name in assigned)
-        names, key = (a, b[0] if b else None), ArenaKey(arena.name, arena.config_hash, arena.engine.name)
-        task, only = RatingMatch((names,), seed, "training"), np.array([0])
-        return match_row(
-            self.pool.league, key, names, games, only, only, task, recording=store.blobs.put(to_bytes(recording))
-        )
+        a, *others = (self._filed(name, matchups) for name in assigned)
+        league, key = self.pool.league, ArenaKey(arena.name, arena.config_hash, arena.engine.name)
+        kept, only = store.blobs.put(to_bytes(recording)), np.array([0])
+        if len(others) > 1:
+            task = RatingMatch(((a, *others),), seed, "training")
+            return ranked_row(league, key, (a, *others), games, only, task, recording=kept)
+        names = a, others[0] if others else None
+        return match_row(league, key, names, games, only, only, RatingMatch((names,), seed, "training"), recording=kept)
 
     def _built(self) -> tuple[Arena, Compiled]:
         config = self.config

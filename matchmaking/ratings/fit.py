@@ -6,16 +6,18 @@ played team 0.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from matchmaking.ratings import priors, undefeated
-from matchmaking.ratings.covariance import StrengthCovariance
-from matchmaking.ratings.davidson import Likelihood, Outcome, davidson, expected_score, maximise
+from matchmaking.ratings.davidson import Likelihood, Outcome, expected_score
+from matchmaking.ratings.likelihoods.covariance import StrengthCovariance
+from matchmaking.ratings.likelihoods.penalised import PenalisedLikelihood, maximise
 from matchmaking.ratings.payoff import PAIR_SCORES, Payoff, quantile
+from matchmaking.ratings.plackett_luce import PlackettLuce
 from matchmaking.ratings.priors import Prior
 
 ELO = 400 / math.log(10)  # Elo points per unit of log odds: 400 points are odds of 10 wins to 1 loss
@@ -39,6 +41,9 @@ class Clusters(NamedTuple):
         return cls(edge, one, one, 2 * PAIR_SCORES[score], payoff.pairs[edge, score].astype(float))
 
 
+NO_CLUSTERS = Clusters(np.zeros(0, int), *(np.zeros(0) for _ in range(4)))
+
+
 @dataclass(frozen=True, eq=False)
 class Ratings:
     """Ratings of P snapshots, in the order of the payoff.
@@ -49,8 +54,8 @@ class Ratings:
 
     names: tuple[str, ...]  # (P,) of snapshots
     elo: np.ndarray  # (P,)
-    games: np.ndarray  # (P,) valid games
-    score: np.ndarray  # (P,) mean score over those games, nan without any
+    games: np.ndarray  # (P,) valid episodes
+    score: np.ndarray  # (P,) mean score over their games, of which a ranking has one with each other team; nan if none
     draw: float  # Davidson's ν: draws per √(win · loss); equals draw a game with probability ν/(2+ν)
     side_advantage: float  # of playing team 0, in Elo; 0 if it cannot be separated from strength
     side_identifiable: bool  # it can be separated from strength
@@ -63,6 +68,7 @@ class Ratings:
     anchors: np.ndarray  # (G, P) weights whose sums are 1
     population_offsets: np.ndarray  # (G,) Elo of a population's anchors above the mean of all anchors
     quantile: float  # of the normal distribution, for the intervals
+    ties: Mapping[int, float] = field(default_factory=dict)  # of rankings: number of tied players -> δ; `draw` is δ_2
 
     def index(self, name: str) -> int:
         """Return the position of a snapshot; ValueError if it was not rated."""
@@ -97,7 +103,7 @@ class Ratings:
     @property
     def covariance(self) -> np.ndarray:
         """Covariance (P, P) in Elo² of differences to the mean of all anchors; too large for many thousands."""
-        return ELO**2 * self.strength_covariance.whole[:-2, :-2]
+        return ELO**2 * self.strength_covariance.whole[: len(self.names), : len(self.names)]
 
     def covariances(self, i: int) -> np.ndarray:
         """Return the row (P,) of i in `covariance`."""
@@ -185,7 +191,8 @@ def fit(
     Draws are Davidson's (1970): with d = θ_home - θ_away + γ, win : draw : loss = exp(d/2) : ν : exp(-d/2). One ν and
     one γ, the side advantage (Davidson and Beaver 1977), are shared by all. γ is fitted only if it can be separated
     from strength (two snapshots met both ways round, or a cycle of games does not come out even); otherwise it stays 0.
-    ν is 0 if nothing was ever drawn.
+    ν is 0 if nothing was ever drawn. Rankings are fitted by Plackett and Luce's model with ties and without γ, which is
+    the same for two players (`matchmaking.ratings.plackett_luce`).
 
     The objective is concave. The interval is normal, from the covariance H⁻¹ B H⁻¹ (Huber 1967, White 1982): H is the
     information, B counts each pair's information times the dispersion of its seed pairs, see `_dispersion`.
@@ -209,25 +216,32 @@ def fit(
     z, P = quantile(confidence), len(payoff.names)
     chosen_prior = _prior(payoff, prior)
     labels, population, weights = _anchor_weights(payoff, anchors, populations or {})
-    problem = Likelihood.of(payoff, chosen_prior, sides)
+    ranked, problem = bool(payoff.rankings), likelihood(payoff, chosen_prior, sides)
     x = maximise(problem) if chosen_prior.any() or not P else undefeated.maximum(problem, payoff)
-    terms = davidson(*problem.linear(x))
+    terms = problem.terms(x)
     common = weights.mean(0)
-    dispersion = _dispersion(payoff, terms, clusters or Clusters.of(payoff))
+    dispersion = np.ones(len(problem.home)) if ranked else _dispersion(payoff, terms, clusters or Clusters.of(payoff))
     strength_covariance = StrengthCovariance(problem, x, terms, dispersion, common)
     theta = ELO * x[:P]
-    means, games = weights @ theta, payoff.played
+    means, played = weights @ theta, payoff.played
     with np.errstate(invalid="ignore"):
-        score = (payoff.results[:, 0] + payoff.results[:, 1] / 2) / games
+        score = (payoff.results[:, 0] + payoff.results[:, 1] / 2) / played
     return Ratings(
-        payoff.names, anchor_elo + (theta - means[population]), games, score,
+        payoff.names, anchor_elo + (theta - means[population]), payoff.ranked_or_played, score,
         draw=float(np.exp(x[P + 1])) if problem.free[P + 1] else 0.0,
         side_advantage=float(ELO * x[P]),
         side_identifiable=bool(problem.free[P]),
         strength_covariance=strength_covariance, log_likelihood=problem.of_games(terms),
         populations=labels, population=population, anchors=weights, population_offsets=means - common @ theta,
-        quantile=z,
+        quantile=z, ties=problem.ties(x) if isinstance(problem, PlackettLuce) else {},
     )  # fmt: skip
+
+
+def likelihood(payoff: Payoff, prior: Prior, sides: bool = True) -> PenalisedLikelihood:
+    """Return the likelihood of a payoff's rankings, or of its games of two if it has none."""
+    if payoff.rankings:
+        return PlackettLuce(payoff.rankings, len(payoff.names), prior)
+    return Likelihood.of(payoff, prior, sides)
 
 
 def _prior(payoff: Payoff, prior: Prior | float) -> Prior:

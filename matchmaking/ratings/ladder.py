@@ -13,12 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matchmaking.ratings.davidson import Likelihood
 from matchmaking.ratings.fit import Ratings, fit
 from matchmaking.ratings.payoff import Payoff, Score, score_interval, sum_matches
-from matchmaking.ratings.priors import none, parents
-from matchmaking.ratings.separation import Separation, find_separation, islands
-from storage.records import ArenaKey, Match, MatchTotals, Player, Snapshot
+from matchmaking.ratings.priors import parents
+from matchmaking.ratings.separation import Separation, examined, islands
+from storage.records import ArenaKey, Match, MatchTotals, Player, RankedMatch, Snapshot
 
 ANCHOR_ELO = 1000.0
 """Elo of the anchors' mean."""
@@ -71,7 +70,7 @@ class Ladder:
     def __init__(
         self,
         names: Iterable[str] | Pool,
-        matches: Sequence[Match] | MatchTotals = (),
+        matches: Sequence[Match | RankedMatch] | MatchTotals = (),
         anchors: Iterable[str] = (),
         *,
         onto: Payoff | None = None,
@@ -90,7 +89,7 @@ class Ladder:
         self.pool = names if isinstance(names, Pool) else Pool(tuple(names), tuple(anchors))
         self.payoff = sum_matches(matches, [*self.pool.names, *self.pool.anchors], onto)
 
-    def extended(self, matches: Sequence[Match], names: Iterable[str] | Pool = ()) -> "Ladder":
+    def extended(self, matches: Sequence[Match | RankedMatch], names: Iterable[str] | Pool = ()) -> "Ladder":
         """Return the ladder of this log and further rows, with further names or another pool.
 
         If nothing is new, it is this ladder, with its fit.
@@ -146,7 +145,7 @@ class Ladder:
     @cached_property
     def separation(self) -> Separation:
         """Ratings, sides and draws that the games alone do not bound, and snapshots that no games connect."""
-        return find_separation(Likelihood.of(self.payoff, none()))
+        return examined(self.payoff)
 
     @property
     def one_team(self) -> bool:

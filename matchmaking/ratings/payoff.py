@@ -3,7 +3,7 @@
 Below P is the number of snapshots and E the number of pairs of snapshots that met.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matchmaking.ratings.rankings import NO_RANKINGS, Rankings, lineups_of, pair_rows
 from storage.errors import StorageError
-from storage.records import COUNT_COLUMNS, ArenaKey, Match, MatchTotals
+from storage.records import COUNT_COLUMNS, ArenaKey, LineupTotals, Match, MatchTotals, RankedMatch
 
 PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
 
@@ -54,7 +55,8 @@ class Payoff:
     """Counts of all games between P snapshots, stored per pair that met (`first` < `second`, indices into `names`).
 
     All counts are from `first`'s point of view. Nothing here depends on the order of matches, nor on which of the two
-    snapshots a match called A.
+    snapshots a match called A. In a ranked match each two teams count as one game, at home; `rankings` has the whole
+    outcomes, to which ratings are fitted.
     """
 
     names: tuple[str, ...]  # (P,) of snapshots, sorted
@@ -68,6 +70,7 @@ class Payoff:
     trials: np.ndarray  # (P, 4) int, in arenas of one team: successes, failures, voids, voids by its own robots
     last: np.ndarray  # (P,) when its newest match was written, in seconds since the epoch; 0 without one
     arena: ArenaKey | None = None  # of the matches; None without any
+    rankings: Rankings = NO_RANKINGS  # of ranked matches
 
     @cached_property
     def positions(self) -> dict[str, int]:
@@ -88,8 +91,13 @@ class Payoff:
 
     @cached_property
     def played(self) -> np.ndarray:
-        """Valid games (P,) of each snapshot."""
+        """Valid games (P,) of each snapshot, counted by pair: three of each ranking of four teams."""
         return self.results.sum(1)
+
+    @cached_property
+    def ranked_or_played(self) -> np.ndarray:
+        """Valid episodes (P,) of each snapshot, in each of which it has one result or one rank."""
+        return self.rankings.episodes(len(self.names)) if self.rankings else self.played
 
     @cached_property
     def total_episodes(self) -> np.ndarray:
@@ -214,7 +222,7 @@ class Payoff:
 
 
 def sum_matches(
-    matches: Sequence[Match] | MatchTotals, players: Iterable[str] = (), onto: Payoff | None = None
+    matches: Sequence[Match | RankedMatch] | MatchTotals, players: Iterable[str] = (), onto: Payoff | None = None
 ) -> Payoff:
     """Sum a match log into a Payoff.
 
@@ -230,8 +238,9 @@ def sum_matches(
     arenas = _arenas(matches) | ({onto.arena} if onto and onto.arena else set())
     if len(arenas) > 1:
         raise ValueError(f"matches of {len(arenas)} arenas cannot be compared; choose one of {sorted(arenas)}")
-    of_a, of_b, counts, created = _columns(matches)
-    names = tuple(sorted({*players, *of_a, *of_b, *(onto.names if onto else ())} - {None}))
+    of_a, of_b, counts, created, lineups = _columns(matches)
+    ranked = {name for snapshots in lineups for name in snapshots}
+    names = tuple(sorted({*players, *of_a, *of_b, *ranked, *(onto.names if onto else ())} - {None}))
     place: dict[str | None, int] = {name: i for i, name in enumerate(names)}
     a, b = (np.array([place.get(name, -1) for name in of], np.int64) for of in (of_a, of_b))
     alone, met = b < 0, (b >= 0) & (a != b)
@@ -241,12 +250,18 @@ def sum_matches(
     np.add.at(trials, a[alone], np.stack([wins, draws + losses, voids, voids_a], 1))
     for who, when in ((a, created), (b[~alone], created[~alone])):
         np.maximum.at(last, who, when)
+    rankings = Rankings.of(lineups, place)
+    table = np.concatenate([table, pair_rows(rankings, lineups, place)])
+    for snapshots, totals in lineups.items():
+        at = [place[name] for name in snapshots]
+        last[at] = np.maximum(last[at], totals.created)
     if onto is not None:
         now = np.array([place[name] for name in onto.names], np.int64)
         before = (onto.home, onto.away, onto.pairs, onto.voids, onto.at_fault)
         table = np.concatenate([table, np.column_stack([now[onto.first], now[onto.second], *before])])
         trials[now] += onto.trials
         last[now] = np.maximum(last[now], onto.last)
+        rankings = rankings.plus(onto.rankings.renumbered(now))
     # Pairs are numbered by position, so sums do not depend on the order of rows (and integers add exactly).
     pair = table[:, 0] * len(names) + table[:, 1]
     order = np.argsort(pair, kind="stable")
@@ -256,21 +271,34 @@ def sum_matches(
         np.add.reduceat(table[order, 2:], starts, out=sums)
     first, second = np.divmod(keys, max(len(names), 1))
     home, away, pairs, void, at_fault = np.split(sums, [3, 6, 11, 12], axis=1)
-    return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, next(iter(arenas), None))
+    key = next(iter(arenas), None)
+    return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, key, rankings)
 
 
-def _arenas(matches: Sequence[Match] | MatchTotals) -> set[ArenaKey]:
+def rankings_payoff(names: tuple[str, ...], rankings: Rankings) -> Payoff:
+    """Return the payoff of rankings of players with these names, which are sorted."""
+    first, second, games = rankings.pairs(len(names))
+    E, P = len(first), len(names)
+    away, pairs, voids, at_fault, trials = (np.zeros(shape, int) for shape in ((E, 3), (E, 5), E, (E, 2), (P, 4)))
+    return Payoff(names, first, second, games, away, pairs, voids, at_fault, trials, np.zeros(P), None, rankings)
+
+
+def _arenas(matches: Sequence[Match | RankedMatch] | MatchTotals) -> set[ArenaKey]:
     return {matches.arena} if isinstance(matches, MatchTotals) else {match.arena for match in matches}
 
 
 def _columns(
-    matches: Sequence[Match] | MatchTotals,
-) -> tuple[Sequence[str], Sequence[str | None], np.ndarray, np.ndarray]:
-    """Return a log's columns: a, b, counts (rows, 14) in the order of COUNT_COLUMNS, and when each row was written."""
+    matches: Sequence[Match | RankedMatch] | MatchTotals,
+) -> tuple[Sequence[str], Sequence[str | None], np.ndarray, np.ndarray, Mapping[tuple[str, ...], LineupTotals]]:
+    """Return a log's columns: a, b, counts (rows, 14) in the order of COUNT_COLUMNS, and when each row was written.
+
+    The last value has the sums of ranked matches.
+    """
     if not isinstance(matches, MatchTotals):
+        pairs = [m for m in matches if isinstance(m, Match)]
         matches = MatchTotals(
-            ArenaKey("", "", ""), [m.a for m in matches], [m.b for m in matches], [_counts(m) for m in matches],
-            [m.created for m in matches], 0,
+            ArenaKey("", "", ""), [m.a for m in pairs], [m.b for m in pairs], [_counts(m) for m in pairs],
+            [m.created for m in pairs], 0, lineups_of(m for m in matches if isinstance(m, RankedMatch)),
         )  # fmt: skip
     try:
         counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNT_COLUMNS))
@@ -280,7 +308,7 @@ def _columns(
     if not np.isfinite(created).all() or (np.abs(counts) > MAX_GAMES).any():
         raise Contradiction("the log of matches is damaged: a time or a count of games is not finite")
     _check(matches.a, matches.b, counts)
-    return matches.a, matches.b, counts, created
+    return matches.a, matches.b, counts, created, matches.lineups
 
 
 def _counts(m: Match) -> tuple[int, ...]:

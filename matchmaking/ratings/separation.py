@@ -13,7 +13,7 @@ it is the condition of Ford 1957: every player has taken points from every other
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Literal, NamedTuple
 
@@ -21,6 +21,9 @@ import numpy as np
 
 from matchmaking import graph_algorithms
 from matchmaking.ratings.davidson import Likelihood
+from matchmaking.ratings.likelihoods.tie_separation import tie_direction
+from matchmaking.ratings.payoff import Payoff
+from matchmaking.ratings.priors import none
 
 Bound = Literal["above", "below", "both"]
 """Direction in which a parameter has no bound."""
@@ -71,11 +74,28 @@ class _Edges(NamedTuple):
     turn: np.ndarray  # (E,) change of the weight with γ: 1 or -1
 
 
+def examined(payoff: Payoff, sides: bool = True) -> Separation:
+    """Find the parameters of a fit of this payoff that have no finite value without a prior."""
+    if not payoff.rankings:
+        return find_separation(Likelihood.of(payoff, none(), sides))
+    problem = Likelihood.of(payoff, none(), sides=False)
+    found = find_separation(replace(problem, free=np.append(problem.free[:-1], False)))  # with ties fixed, by pairs
+    change = tie_direction(payoff.rankings, len(payoff.names))
+    if change is None:
+        return found
+    unknown = np.zeros(len(payoff.names), bool)
+    for number in range(1, found.islands + 1):
+        own = np.flatnonzero(found.island == number)
+        values, sizes = np.unique(np.round(change[own], 6), return_counts=True)
+        unknown[own] = np.abs(change[own] - values[sizes.argmax()]) > 1e-5
+    return replace(found, draw=True, unknown=unknown)
+
+
 def find_separation(problem: Likelihood) -> Separation:
     """Find every direction in which the likelihood of the games has no maximum; the prior is left out."""
     seen = problem.counts.any(1)
     home, away, counts = problem.home[seen], problem.away[seen], problem.counts[seen] > 0
-    size, side_identifiable = problem.size, bool(problem.free[-2])
+    size, side_identifiable = problem.size, bool(problem.free[problem.size])
     island = islands(size, home, away)
     won, lost = counts[:, :2].any(1), counts[:, 1:].any(1)  # home has taken points, and away has
     ford = graph_algorithms.strong_components(

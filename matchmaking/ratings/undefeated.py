@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from matchmaking.ratings.davidson import MAX_DENSE_FIT, Likelihood, NotConverged, davidson, maximise
-from matchmaking.ratings.information import SolverNotConverged
+from matchmaking.ratings.likelihoods.information import SolverNotConverged
+from matchmaking.ratings.likelihoods.penalised import MAX_DENSE_FIT, NotConverged, PenalisedLikelihood, maximise
 from matchmaking.ratings.payoff import Payoff
 
 VANISHED = 1e-9
@@ -20,8 +20,8 @@ class Unbounded(ValueError):  # noqa: N818  (reads as what is wrong)
     """Without a prior some rating would be infinite, or not comparable; the message names the snapshots."""
 
 
-def maximum(problem: Likelihood, payoff: Payoff) -> np.ndarray:
-    """Return the parameters (P + 2,) at the maximum of a likelihood without a prior; Unbounded if there is none."""
+def maximum(problem: PenalisedLikelihood, payoff: Payoff) -> np.ndarray:
+    """Return the parameters (P + T,) at the maximum of a likelihood without a prior; Unbounded if there is none."""
     _check(payoff)
     try:
         x, trouble = maximise(problem), None
@@ -35,14 +35,14 @@ def maximum(problem: Likelihood, payoff: Payoff) -> np.ndarray:
     return x
 
 
-def _weakest(problem: Likelihood, x: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the smallest eigenvalue of the information and its direction (P + 2,)."""
-    terms = davidson(*problem.linear(x))
+def _weakest(problem: PenalisedLikelihood, x: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the smallest eigenvalue of the information and its direction (P + T,)."""
+    terms = problem.terms(x)
     if problem.size <= MAX_DENSE_FIT:
         values, vectors = np.linalg.eigh(problem.information(x, terms) + problem.location)
         return values[0], vectors[:, 0]
     found = problem.sparse_information(x, terms)
-    direction, least = np.random.default_rng(0).normal(size=(problem.size + 2, 1)), np.inf
+    direction, least = np.random.default_rng(0).normal(size=(len(x), 1)), np.inf
     try:
         solve = found.solver()
         for _ in range(30):  # inverse iteration
@@ -78,16 +78,16 @@ def _check(payoff: Payoff) -> None:
             raise Unbounded(f"{who} {reason} {_listed(names, ~group)}")
 
 
-def _explain_divergence(problem: Likelihood, payoff: Payoff, direction: np.ndarray) -> str:
+def _explain_divergence(problem: PenalisedLikelihood, payoff: Payoff, direction: np.ndarray) -> str:
     """Return why a fit has diverged along draws or sides, which Ford's condition does not cover."""
-    if not problem.counts[:, [0, 2]].any():
+    if not (payoff.home + payoff.away)[:, [0, 2]].any():
         return "every game was drawn, so the chance of a draw has no end"
     for name, (wins, _, losses) in zip(payoff.names, payoff.results.tolist(), strict=True):
-        if problem.free[-1] and not (wins and losses):
+        if problem.free[problem.size + 1 :].any() and not (wins and losses):
             return f"{name!r} is {'undefeated' if wins else 'winless'}: it has not {'lost' if wins else 'won'} a game"
-    if problem.free[-2] and direction[-2] > 0.5 * direction.max():
+    if problem.free[problem.size] and direction[problem.size] > 0.5 * direction.max():
         return "one side wins where strengths do not tell, so its advantage has no end"
-    name = payoff.names[int(direction[:-2].argmax())]
+    name = payoff.names[int(direction[: problem.size].argmax())]
     return f"{name!r} hangs together with the others by draws or sides alone"
 
 

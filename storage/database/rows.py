@@ -12,8 +12,21 @@ from typing import Any, TypeVar
 import sqlalchemy as sa
 
 from storage.database import schema as t
+from storage.database.rankings import FROM_COLUMNS, check_rankings, rankings_json
 from storage.errors import StorageError, UnknownName
-from storage.records import ArenaKey, Checkpoint, CurvePoint, Job, Match, Meeting, PairCounts, Phase, Player, Snapshot
+from storage.records import (
+    ArenaKey,
+    Checkpoint,
+    CurvePoint,
+    Job,
+    Match,
+    Meeting,
+    PairCounts,
+    Phase,
+    Player,
+    RankedMatch,
+    Snapshot,
+)
 
 R = TypeVar("R")
 
@@ -43,6 +56,8 @@ def row_of(record: Any, *without: str) -> dict[str, Any]:
             continue
         if f.name in _SPREAD:
             row.update(zip(_SPREAD[f.name], value or [None] * len(_SPREAD[f.name]), strict=True))
+        elif f.name == "rankings":
+            row[f.name] = rankings_json(value)
         elif isinstance(value, Mapping):
             row[f.name] = dict(value)
         else:
@@ -134,11 +149,38 @@ def note_dropped(db: sa.Connection, digests: Iterable[str]) -> None:
         db.execute(insert_statement(db, t.dropped).on_conflict_do_nothing(), found)
 
 
-def add_matches(db: sa.Connection, matches: Sequence[Match], last: int) -> None:
-    """Append to a league's log; `last` is the id of the last match: see `reserve_match_ids`."""
-    if matches:
-        numbered = enumerate(matches, start=last - len(matches) + 1)
-        db.execute(sa.insert(t.matches), [row_of(match, "id", "created") | {"id": id} for id, match in numbered])
+def add_matches(db: sa.Connection, matches: Sequence[Match | RankedMatch], last: int) -> None:
+    """Append to a league's log; `last` is the id of the last match: see `reserve_match_ids`.
+
+    Raises StorageError for a ranked match that contradicts itself or names a snapshot that its league does not have.
+    """
+    pairs: list[dict[str, Any]] = []
+    ranked: list[dict[str, Any]] = []
+    for id, match in enumerate(matches, start=last - len(matches) + 1):
+        row = row_of(match, "id", "created") | {"id": id}
+        if isinstance(match, Match):
+            pairs.append(row)
+            continue
+        try:
+            check_rankings(match.snapshots, match.rankings, match.voids, match.voids_by_team)
+        except ValueError as error:
+            raise StorageError(f"A match of {', '.join(match.snapshots)} contradicts itself: {error}.") from None
+        ranked.append(row | {"episodes": match.episodes})
+    if pairs:
+        db.execute(sa.insert(t.matches), pairs)
+    if ranked:
+        _require_snapshots(db, [match for match in matches if isinstance(match, RankedMatch)])
+        db.execute(sa.insert(t.ranked_matches), ranked)
+
+
+def _require_snapshots(db: sa.Connection, matches: Sequence[RankedMatch]) -> None:
+    """Raise StorageError if a match names a snapshot that its league does not have: JSON has no foreign keys."""
+    c = t.snapshots.c
+    for league in {match.league for match in matches}:
+        named = {name for match in matches if match.league == league for name in match.snapshots}
+        there = set(db.scalars(sa.select(c.name).where(c.league == league, c.name.in_(named))))
+        if missing := named - there:
+            raise StorageError(f"A match names snapshot {min(missing)!r}, which league {league!r} does not have.")
 
 
 def add_curves(db: sa.Connection, points: Sequence[CurvePoint]) -> None:
@@ -252,6 +294,7 @@ _FROM: dict[str, Callable[[list[Any]], Any]] = {
     "pairs": PairCounts._make,
     "learners": lambda values: tuple(values[0]),
     "initial": lambda values: bool(values[0]),
+    **FROM_COLUMNS,
     **dict.fromkeys(("payload", "values", "since", "until", "status", "versions"), _mapping),
 }
 

@@ -167,6 +167,21 @@ matches = sa.Table(
     sa.ForeignKeyConstraint(["league", "a"], ["snapshots.league", "snapshots.name"]),
     sa.ForeignKeyConstraint(["league", "b"], ["snapshots.league", "snapshots.name"]),
 )
+ranked_matches = sa.Table(
+    "ranked_matches",
+    metadata,
+    _league(primary_key=True),
+    sa.Column("id", sa.BigInteger, primary_key=True, autoincrement=False),  # counted by leagues.matches
+    *_arena(nullable=False),
+    *map(_json, ("snapshots", "rankings", "voids_by_team")),
+    *map(_count, ("episodes", "voids", "seed", "steps")),  # episodes: the sum of rankings
+    _text("purpose"),
+    _text("recording", nullable=True),
+    _real("seconds"),
+    sa.Column("due", sa.Double),
+    _count("causes"),
+    _time("created"),
+)
 curves = sa.Table(
     "curves",
     metadata,
@@ -262,6 +277,11 @@ def add_causes_of_voids(db: sa.Connection) -> None:
     db.execute(sa.text("ALTER TABLE matches ADD COLUMN causes BIGINT NOT NULL DEFAULT 0"))
 
 
+def add_ranked_matches(db: sa.Connection) -> None:
+    """Migrate from schema 7 to 8: matches of three and more teams. There are none so far."""
+    ranked_matches.create(db)
+
+
 # The oldest schema that can be migrated. Schema 1 keyed snapshots by their bytes and leagues by their arena.
 FIRST_SCHEMA = 2
 
@@ -269,7 +289,7 @@ FIRST_SCHEMA = 2
 # a new migration requires a matching change of the tables.
 MIGRATIONS: list[Callable[[sa.Connection], None]] = [
     add_seconds_of_matches, add_meetings, add_thinned_snapshots, sort_jobs_to_claim,
-    add_causes_of_voids,
+    add_causes_of_voids, add_ranked_matches,
 ]  # fmt: skip
 
 

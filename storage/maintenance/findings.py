@@ -56,6 +56,11 @@ class BlobReference(NamedTuple):
     script: str | None  # for a snapshot
     training: bool = False  # a training match: its recording names players, between two of their snapshots
 
+    @property
+    def is_match(self) -> bool:
+        """True if the blob is a match's recording."""
+        return self.table in ("matches", "ranked_matches")
+
 
 def single_line(what: object) -> str:
     """Return a text of a damaged store as one line that any terminal can print."""

@@ -13,6 +13,7 @@ import sqlalchemy as sa
 
 from storage.database import schema as t
 from storage.database.connection import Database, translated_errors
+from storage.database.rows import strings_in
 from storage.errors import NewerStore, NotAStore, OldStore, StorageError, Unavailable
 from storage.maintenance import row_transfer
 from storage.maintenance.findings import (
@@ -177,7 +178,7 @@ class RawRows:
             self._check.leagues.add(row.get("name", ""))
             if isinstance(row.get("name"), str) and "matches" in row:
                 self._counted[row["name"]] = row["matches"]
-        if table is t.matches:
+        if table in row_transfer.MATCHES:
             self._there[row.get("league")] += 1
         try:
             if not whole:
@@ -221,7 +222,7 @@ class RawRows:
     def _note_blob(self, table: str, row: Mapping[str, Any], place: str) -> None:
         """Note the blob that a row names. An invalid name is reported as the row's fault."""
         column = row_transfer.BLOB_COLUMNS.get(table)
-        if column is None or (table == "matches" and row.get(column) is None):
+        if column is None or (column == "recording" and row.get(column) is None):
             return
         if row.get("thinned") is not None:
             return
@@ -231,6 +232,7 @@ class RawRows:
             return
         self._check.blobs.add(digest)
         sides = frozenset(str(row.get(side)) for side in ("a", "b") if row.get(side) is not None)
+        sides |= frozenset(strings_in(_listed(row.get("snapshots"))))
         self._named.setdefault(
             digest, BlobReference(table, place, sides, row.get("script"), row.get("purpose") == "training")
         )
@@ -265,6 +267,14 @@ def _value(column: sa.Column[Any], value: Any, dialect: str) -> Any:
     if isinstance(column.type, sa.Boolean) and value in (0, 1):
         return bool(value)
     return value
+
+
+def _listed(value: object) -> object:
+    """Return a JSON list as any database gives it untyped; an empty list for a damaged one."""
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except (ValueError, RecursionError):
+        return []
 
 
 def _no_constant(name: str) -> float:

@@ -5,10 +5,11 @@ import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any, get_args
 
+from storage.database.rankings import check_rankings, parse_rankings, tuple_of
 from storage.maintenance.row_transfer import is_digest
 from storage.records import Purpose
 
-_SIGNED = {("matches", "seed"), ("jobs", "priority")}
+_SIGNED = {("matches", "seed"), ("ranked_matches", "seed"), ("jobs", "priority")}
 _NAMES = {"name", "league", "player", "team", "role", "group", "a", "b", "roster", "script", "parent", "host"}
 """Columns shown in tables and lines: a line end in a name could forge a line of output."""
 
@@ -44,11 +45,29 @@ def _snapshot(row: Mapping[str, Any]) -> None:
         raise ValueError("it is thinned, but scripts, imports and first policies never are")
 
 
-def _match(row: Mapping[str, Any]) -> None:
+def _played(row: Mapping[str, Any]) -> None:
+    """Check what rows of both tables of matches have."""
     if row["purpose"] not in get_args(Purpose):
         raise ValueError(f"purpose {row['purpose'][:40]!r} is none of {', '.join(get_args(Purpose))}")
     if row["recording"] is not None and not is_digest(row["recording"]):
         raise ValueError(f"recording {row['recording'][:64]!r} is no blob's name")
+
+
+def _ranked_match(row: Mapping[str, Any]) -> None:
+    _played(row)
+    try:
+        snapshots, rankings = tuple_of(str, row["snapshots"]), parse_rankings(row["rankings"])
+        check_rankings(snapshots, rankings, row["voids"], tuple_of(int, row["voids_by_team"]))
+    except TypeError as error:
+        raise ValueError(str(error)) from None
+    if strange := next((name for name in snapshots if not name.isprintable()), None):
+        raise ValueError(f"snapshot {strange[:40]!r} has characters that are invisible")
+    if sum(rankings.values()) != row["episodes"]:
+        raise ValueError(f"it counts {row['episodes']} episodes, and its rankings {sum(rankings.values())}")
+
+
+def _match(row: Mapping[str, Any]) -> None:
+    _played(row)
     for what in ("wins", "draws", "losses"):
         if row[f"side_{what}"] > row[what]:
             raise ValueError(f"of {row[what]} {what}, {row[f'side_{what}']} were on the first side")
@@ -85,5 +104,5 @@ def _phase(row: Mapping[str, Any]) -> None:
 
 _CHECKS: Mapping[str, Callable[[Mapping[str, Any]], None]] = {
     "leagues": _league, "runs": _league, "checkpoints": _digest, "snapshots": _snapshot, "matches": _match,
-    "curves": _curve, "meetings": _meeting, "phases": _phase,
+    "ranked_matches": _ranked_match, "curves": _curve, "meetings": _meeting, "phases": _phase,
 }  # fmt: skip

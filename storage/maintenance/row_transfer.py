@@ -26,6 +26,7 @@ TABLES: Mapping[str, sa.Table] = {
         t.checkpoints,
         t.snapshots,
         t.matches,
+        t.ranked_matches,
         t.curves,
         t.meetings,
         t.phases,
@@ -50,6 +51,7 @@ ORDER: Mapping[str, Sequence[sa.Column[Any]]] = {
     "checkpoints": (t.checkpoints.c.id,),
     "snapshots": (t.snapshots.c.league, t.snapshots.c.iteration, t.snapshots.c.name),
     "matches": (t.matches.c.league, t.matches.c.id),
+    "ranked_matches": (t.ranked_matches.c.league, t.ranked_matches.c.id),
     "curves": (t.curves.c.league, t.curves.c.player, t.curves.c.iteration),
     "meetings": (t.meetings.c.id,),
     "phases": (t.phases.c.league, t.phases.c.group, t.phases.c.number),
@@ -58,14 +60,17 @@ ORDER: Mapping[str, Sequence[sa.Column[Any]]] = {
 # The key of each table's rows. A number at a key's end increases among rows with the same values before it.
 KEYS: Mapping[str, tuple[str, ...]] = {
     "leagues": ("name",), "players": ("league", "name"), "snapshots": ("league", "name"), "matches": ("league", "id"),
+    "ranked_matches": ("league", "id"),
     "curves": ("league", "player", "iteration"), "phases": ("league", "group", "number"), "jobs": ("league", "key"),
 }  # fmt: skip
 _REFERENCES: Mapping[str, tuple[tuple[str, str], ...]] = {
     "checkpoints": (("player", "players"),), "snapshots": (("player", "players"),),
-    "matches": (("a", "snapshots"), ("b", "snapshots")), "curves": (("player", "players"),),
-    "meetings": (("player", "players"),),
+    "matches": (("a", "snapshots"), ("b", "snapshots")), "ranked_matches": (("snapshots", "snapshots"),),
+    "curves": (("player", "players"),), "meetings": (("player", "players"),),
 }  # fmt: skip
-BLOB_COLUMNS: Mapping[str, str] = {"checkpoints": "digest", "snapshots": "digest", "matches": "recording"}
+BLOB_COLUMNS: Mapping[str, str] = {
+    "checkpoints": "digest", "snapshots": "digest", "matches": "recording", "ranked_matches": "recording",
+}  # fmt: skip
 """Tables whose rows name a blob, and the column with its name."""
 
 
@@ -73,6 +78,8 @@ OLDEST_PACKED_SCHEMA = 6
 """The oldest schema whose packs can be unpacked: ADDED_COLUMNS has the columns that they lack."""
 ADDED_COLUMNS: Mapping[str, frozenset[str]] = {"matches": frozenset({"causes"})}
 """Columns that rows of older packs do not have; the table's own default fills them."""
+ADDED_TABLES: Mapping[str, int] = {"ranked_matches": 8}
+"""Tables that older packs do not have, and the schema that added each."""
 
 
 def needs_blob(table: str, row: Mapping[str, Any]) -> bool:
@@ -84,7 +91,9 @@ _ALLOWED_WORDS: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("snapshots", "origin"): get_args(Origin),
     ("jobs", "state"): ("queued", "done", "failed"),
 }
-_LISTS = {("phases", "learners")}
+_LISTS = {("phases", "learners"), ("ranked_matches", "snapshots"), ("ranked_matches", "voids_by_team")}
+MATCHES = (t.matches, t.ranked_matches)
+"""The tables of matches, whose rows one counter numbers."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -113,7 +122,7 @@ def dump_rows(
         found = dict(row)
         if table is t.jobs and found["state"] == "leased":
             found["state"] = "queued"
-        if table is t.matches and not recordings:
+        if table in MATCHES and not recordings:
             found["recording"] = None
         yield found
 
@@ -159,7 +168,7 @@ class RowChecker:
 
     def accept_damaged(self, name: str, row: Mapping[str, Any]) -> None:
         """Let other rows refer to a row that has failed its check, so that one fault is reported once."""
-        if name in KEYS and name != "matches":
+        if name in KEYS and TABLES[name] not in MATCHES:
             self._seen[name].add(tuple(row.get(column) for column in KEYS[name]))
         if name == "leagues":
             counted = row.get("matches")
@@ -195,15 +204,17 @@ class RowChecker:
             raise ValueError(f"league {league!r} is not one that the manifest names")
         self._require_unique(name, row)
         for column, target in _REFERENCES.get(name, ()):
-            if row[column] is not None and (league, row[column]) not in self._seen[target]:
-                raise ValueError(f"{column} {row[column]!r} is none of the {target} of league {league!r}")
+            named = row[column] if isinstance(row[column], list) else [row[column]]
+            for each in named:
+                if each is not None and (league, each) not in self._seen[target]:
+                    raise ValueError(f"{column} {str(each)[:64]!r} is none of the {target} of league {league!r}")
         if needs_blob(name, row):
             if (blob := row[BLOB_COLUMNS[name]]) not in self.blobs:
                 raise ValueError(f"{BLOB_COLUMNS[name]} {blob[:64]!r} is no blob of the archive")
             self.named.add(blob)
         if table is t.leagues:
             self._matches[league] = row["matches"]
-        if table is t.matches and not 0 < row["id"] <= self._matches.get(league, 0):
+        if table in MATCHES and not 0 < row["id"] <= self._matches.get(league, 0):
             raise ValueError(f"id {row['id']} is none of the {self._matches.get(league, 0)} that its league counts")
 
     def _require_unique(self, name: str, row: Mapping[str, Any]) -> None:

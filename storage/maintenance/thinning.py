@@ -25,7 +25,7 @@ from storage.database import schema as t
 from storage.database.connection import Database
 from storage.database.rows import NEWEST_CHECKPOINT, note_dropped, strings_in
 from storage.errors import StorageError, Unavailable
-from storage.maintenance.row_transfer import BLOB_COLUMNS, TABLES, is_digest
+from storage.maintenance.row_transfer import BLOB_COLUMNS, KEYS, MATCHES, TABLES, is_digest
 
 ProgressCallback = Callable[[str, int, int | None], None]
 """Callback with the kind of work, the amount done, and the total."""
@@ -120,13 +120,14 @@ def remove(
             digests = db.scalars(gone.returning(c.digest)).all()
             note_dropped(db, digests)
             checkpoints += len(digests)
-    m = t.matches.c
     for some in _batches(removable.recordings):
         progress("recordings", recordings, len(removable.recordings))
         with database.writing() as db:
             for league, id, digest in some:
-                forget = sa.update(t.matches).where(m.league == league, m.id == id, m.recording == digest)
-                recordings += db.execute(forget.values(recording=None)).rowcount
+                for table in MATCHES:
+                    m = table.c
+                    forget = sa.update(table).where(m.league == league, m.id == id, m.recording == digest)
+                    recordings += db.execute(forget.values(recording=None)).rowcount
             note_dropped(db, (digest for _, _, digest in some))
     w = t.workers.c
     for some in _batches(removable.workers):
@@ -206,9 +207,10 @@ def _snapshots(database: Database, policy: RetentionPolicy) -> list[tuple[str, s
 def _recordings(database: Database, policy: RetentionPolicy) -> list[tuple[str, int, str]]:
     if policy.recordings is None and policy.recorded_for is None:
         return []
-    c = t.matches.c
+    each = [(table.c.league, table.c.id, table.c.recording, table.c.created) for table in MATCHES]
+    c = sa.union_all(*(sa.select(*columns).where(columns[2].is_not(None)) for columns in each)).subquery().c
     rank = sa.func.row_number().over(partition_by=c.league, order_by=c.id.desc()).label("rank")
-    ranked = sa.select(c.league, c.id, c.recording, c.created, rank).where(c.recording.is_not(None)).subquery()
+    ranked = sa.select(c.league, c.id, c.recording, c.created, rank).subquery()
     r = ranked.c
     beyond = [r.rank > policy.recordings] if policy.recordings is not None else []
     span = policy.recorded_for
@@ -223,9 +225,10 @@ def _needed_blobs(
 ) -> set[str]:  # fmt: skip
     """Return the blobs that rows other than these need. Raises StorageError if a row's blob name is invalid."""
     less: Mapping[str, set[Any]] = {
-        "checkpoints": set(checkpoints), "matches": set(recordings), "snapshots": set(snapshots),
+        "checkpoints": set(checkpoints), "snapshots": set(snapshots),
+        **{table.name: set(recordings) for table in MATCHES},
     }  # fmt: skip
-    keys = {"checkpoints": ("id",), "matches": ("league", "id"), "snapshots": ("league", "name")}
+    keys = {"checkpoints": ("id",), **{name: KEYS[name] for name in BLOB_COLUMNS if name in KEYS}}
     named: set[str] = set()
     with database.repeatable_read() as db:
         for name, column in BLOB_COLUMNS.items():

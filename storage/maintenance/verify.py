@@ -71,7 +71,7 @@ def _check_blobs(
     for done, (digest, reference) in enumerate(named.items()):
         progress("blobs", done, len(named))
         report.blobs += 1
-        report.recordings += reference.table == "matches"
+        report.recordings += reference.is_match
         try:
             _require_content(kept.get(digest), reference)
         except DamagedBlob as error:
@@ -95,7 +95,7 @@ def _player(snapshot: str) -> str:
 
 def _require_content(data: bytes, reference: BlobReference) -> None:
     """Raise ValueError or StorageError for intact bytes that are not what the row says."""
-    if reference.table == "matches":
+    if reference.is_match:
         header = recording.from_bytes(data).header
         who = _player if reference.training else str
         if reference.sides and {who(name) for name in header.sides} != {who(name) for name in reference.sides}:

@@ -10,7 +10,7 @@ from storage.database import schema as t
 from storage.errors import LeaseLost, StorageError
 from storage.operations import leases
 from storage.operations.base import StoreBase
-from storage.records import Checkpoint, CurvePoint, Job, JobState, Lease, Match, Meeting, Phase, Snapshot
+from storage.records import Checkpoint, CurvePoint, Job, JobState, Lease, Match, Meeting, Phase, RankedMatch, Snapshot
 
 
 class JobQueue(StoreBase):
@@ -29,7 +29,7 @@ class JobQueue(StoreBase):
                 db.rollback()
             return new
 
-    def file(self, done: Job, matches: Sequence[Match]) -> bool:
+    def file(self, done: Job, matches: Sequence[Match | RankedMatch]) -> bool:
         """Add matches that were played without a lease, together with their job in the state done; both, or nothing.
 
         Return False where the league has that job's key already: another process has filed, or is to play, the same
@@ -104,7 +104,7 @@ class JobQueue(StoreBase):
         bases: Mapping[str, str] | None = None,
         checkpoints: Sequence[Checkpoint] = (),
         snapshots: Sequence[Snapshot] = (),
-        matches: Sequence[Match] = (),
+        matches: Sequence[Match | RankedMatch] = (),
         curves: Sequence[CurvePoint] = (),
         meetings: Sequence[Meeting] = (),
         jobs: Sequence[Job] = (),

@@ -9,7 +9,17 @@ from storage.database import schema as t
 from storage.database.garbage_collection import paused_garbage_collection
 from storage.errors import StorageError
 from storage.operations.base import StoreBase
-from storage.records import COUNT_COLUMNS, ArenaKey, CurvePoint, Match, MatchTotals, Meeting, RatingPace
+from storage.records import (
+    COUNT_COLUMNS,
+    ArenaKey,
+    CurvePoint,
+    LineupTotals,
+    Match,
+    MatchTotals,
+    Meeting,
+    RankedMatch,
+    RatingPace,
+)
 
 
 class Results(StoreBase):
@@ -19,16 +29,38 @@ class Results(StoreBase):
         self, league: str, purpose: str | Sequence[str] | None = None, after: int = 0,
         among: Sequence[str] | None = None,
     ) -> list[Match]:  # fmt: skip
-        """Return the league's match log in commit order, optionally restricted.
+        """Return the league's matches of one and two teams in commit order, optionally restricted.
 
         `purpose` selects purposes, `after` the matches after that id, and `among` the matches between two of these
         snapshots. A reader that continues after the last id it has read misses nothing: later commits have larger ids.
         """
-        c = t.matches.c
-        wanted = (purpose,) if isinstance(purpose, str) else purpose
-        chosen = [c.purpose.in_(wanted)] if wanted is not None else []
-        chosen += [c.a.in_(among), c.b.in_(among)] if among is not None else []
-        return self._db.records(Match, t.matches, c.league == league, c.id > after, *chosen, order=[c.id])
+        return self._db.records(
+            Match, t.matches, *_chosen(t.matches, league, purpose, after, among), order=[t.matches.c.id]
+        )
+
+    def ranked_matches(
+        self, league: str, purpose: str | Sequence[str] | None = None, after: int = 0,
+        among: Sequence[str] | None = None,
+    ) -> list[RankedMatch]:  # fmt: skip
+        """Return the league's matches of three and more teams in commit order, restricted as `matches` are.
+
+        `among` selects the matches in which at least two of these snapshots met, or one met itself.
+        """
+        table = t.ranked_matches
+        found = self._db.records(RankedMatch, table, *_chosen(table, league, purpose, after), order=[table.c.id])
+        return found if among is None else [m for m in found if _met(m, set(among))]
+
+    def log(self, league: str, purpose: str | Sequence[str] | None = None, after: int = 0) -> list[Match | RankedMatch]:
+        """Return the matches of all numbers of teams in commit order, restricted as `matches` are."""
+        with self._db.repeatable_read() as db:  # else a match could be missed beside a later one of the other table
+            pairs, ranked = t.matches, t.ranked_matches
+            found: list[Match | RankedMatch] = [
+                *self._db.records_in(db, Match, pairs, *_chosen(pairs, league, purpose, after), order=[pairs.c.id]),
+                *self._db.records_in(
+                    db, RankedMatch, ranked, *_chosen(ranked, league, purpose, after), order=[ranked.c.id]
+                ),
+            ]
+        return sorted(found, key=lambda match: match.id)
 
     def last_match(self, league: str) -> int:
         """Return the number of the newest match of the log, which is also the number of matches; 0 before the first."""
@@ -43,8 +75,7 @@ class Results(StoreBase):
         `until` restricts to matches written up to then, in seconds since the epoch on the database's clock.
         """
         c = t.matches.c
-        wanted = (purpose,) if isinstance(purpose, str) else purpose
-        chosen = [c.league == league, c.purpose.in_(wanted), *([c.created <= until] if until is not None else [])]
+        chosen = [*_chosen(t.matches, league, purpose, 0), *([c.created <= until] if until is not None else [])]
         sums = [sa.cast(sa.func.sum(c[name]), sa.BigInteger) for name in COUNT_COLUMNS]  # PostgreSQL sums to decimals
         key = [c[name] for name in ArenaKey._fields]
         found: dict[ArenaKey, tuple[list[Any], ...]] = {}  # lists of column values
@@ -67,41 +98,55 @@ class Results(StoreBase):
                         )
                     for column, values in zip(columns, (a, b, zip(*counts, strict=True), created, last), strict=True):
                         column.extend(values)
+            ranked = self._lineups(db, league, purpose, until)
         logs = [
-            MatchTotals(key, a, b, counts, created, max(last)) for key, (a, b, counts, created, last) in found.items()
+            MatchTotals(key, a, b, counts, created, max(*last, newest), lineups)
+            for key in {**found, **ranked}
+            for a, b, counts, created, last in (found.get(key, ([], [], [], [], [0])),)
+            for newest, lineups in (ranked.get(key, (0, {})),)
         ]
         return {each.arena: each for each in sorted(logs, key=lambda each: -each.newest)}
+
+    def _lineups(
+        self, db: sa.Connection, league: str, purpose: str | Sequence[str], until: float | None
+    ) -> dict[ArenaKey, tuple[int, dict[tuple[str, ...], LineupTotals]]]:
+        """Return for each ArenaKey the id of its newest ranked match, and the sums of its lineups."""
+        table = t.ranked_matches
+        chosen = [*_chosen(table, league, purpose, 0), *([table.c.created <= until] if until is not None else [])]
+        found: dict[ArenaKey, tuple[int, dict[tuple[str, ...], LineupTotals]]] = {}
+        for match in self._db.records_in(db, RankedMatch, table, *chosen, order=[table.c.id]):
+            lineups = found.get(match.arena, (0, {}))[1]
+            lineups[match.snapshots] = LineupTotals.of(match).plus(lineups.get(match.snapshots))
+            found[match.arena] = (match.id, lineups)
+        return found
 
     def voids(self, league: str, purpose: Sequence[str], after: int) -> list[tuple[int, int, int]]:
         """Return causes, void episodes and valid episodes, summed by causes, of later matches played for these
         purposes.
         """
-        c = t.matches.c
-        sums = [sa.cast(sa.func.sum(x), sa.BigInteger) for x in (c.voids, c.wins + c.draws + c.losses)]
-        query = sa.select(c.causes, *sums).where(c.league == league, c.id > after, c.purpose.in_(purpose))
-        return [tuple(row) for row in self._db.rows(query.group_by(c.causes))]
+        c = _both(league, after=after, purpose=purpose).c
+        sums = [sa.cast(sa.func.sum(x), sa.BigInteger) for x in (c.voids, c.episodes)]
+        return [tuple(row) for row in self._db.rows(sa.select(c.causes, *sums).group_by(c.causes))]
 
     def booked(self, league: str) -> tuple[float, float]:
         """Return device seconds of the matches queued during training, and their first `due`; zeros if none."""
-        c = t.matches.c
-        query = sa.select(sa.func.sum(c.seconds), sa.func.min(c.due)).where(c.league == league, c.due.is_not(None))
-        seconds, first = self._db.rows(query)[0]
+        c = _both(league, booked=True).c
+        seconds, first = self._db.rows(sa.select(sa.func.sum(c.seconds), sa.func.min(c.due)))[0]
         return seconds or 0.0, first or 0.0
 
     def booked_episodes(self, league: str) -> int:
         """Return the number of episodes, void ones included, of the matches whose device seconds `booked` sums."""
-        c = t.matches.c
-        episodes = sa.func.sum(c.wins + c.draws + c.losses + c.voids)
-        query = sa.select(episodes).where(c.league == league, c.due.is_not(None), c.seconds > 0)
+        c = _both(league, booked=True).c
+        query = sa.select(sa.func.sum(c.episodes + c.voids)).where(c.seconds > 0)
         return int(self._db.rows(query)[0][0] or 0)
 
     def pace(self, league: str, purpose: Sequence[str], until: int) -> RatingPace:
         """Return the pace of rating matches among the matches up to id `until` that were played for these purposes."""
-        c = t.matches.c
-        known = (c.league == league, c.id <= until, c.purpose.in_(purpose))
-        played = sa.select(sa.func.max(c.created)).where(*known, c.purpose == "rating")
-        due = sa.select(c.due).where(*known, c.due.is_not(None)).order_by(c.id.desc()).limit(1).scalar_subquery()
-        booked = sa.select(sa.func.max(c.due), sa.func.sum(c.seconds)).where(*known, c.due == due)
+        c = _both(league, until=until, purpose=[each for each in purpose if each == "rating"]).c
+        played = sa.select(sa.func.max(c.created))
+        c = _both(league, until=until, purpose=purpose, booked=True).c
+        due = sa.select(c.due).order_by(c.id.desc()).limit(1).scalar_subquery()
+        booked = sa.select(sa.func.max(c.due), sa.func.sum(c.seconds)).where(c.due == due)
         return RatingPace(self._db.rows(played)[0][0] or 0.0, *self._db.rows(booked)[0])
 
     def curves(self, league: str, player: str | None = None, after: int = 0) -> list[CurvePoint]:
@@ -114,3 +159,37 @@ class Results(StoreBase):
         """Return the outcomes of training games, or those written after a row, in commit order."""
         c = t.meetings.c
         return self._db.records(Meeting, t.meetings, c.league == league, c.id > after, order=[c.id])
+
+
+def _chosen(
+    table: sa.Table, league: str, purpose: str | Sequence[str] | None, after: int, among: Sequence[str] | None = None
+) -> list[Any]:
+    """Return the conditions of a selection of matches."""
+    c = table.c
+    wanted = (purpose,) if isinstance(purpose, str) else purpose
+    chosen = [c.league == league, c.id > after, *([c.purpose.in_(wanted)] if wanted is not None else [])]
+    return chosen + ([c.a.in_(among), c.b.in_(among)] if among is not None else [])
+
+
+def _met(match: RankedMatch, among: set[str]) -> bool:
+    """Return whether at least two teams were played by these snapshots."""
+    return sum(name in among for name in match.snapshots) > 1
+
+
+def _both(
+    league: str, after: int = 0, until: int | None = None, purpose: Sequence[str] | None = None, booked: bool = False
+) -> sa.Subquery:
+    """Return a selection of the matches of both tables, with the columns that both have and valid episodes.
+
+    The conditions are set in either table: no database is trusted to move them there.
+    """
+    m, r = t.matches.c, t.ranked_matches.c
+    shared = ("id", "causes", "voids", "seconds", "due", "created")
+    parts = [
+        sa.select(*(c[name] for name in shared), episodes.label("episodes")).where(
+            c.league == league, c.id > after, *([c.id <= until] if until is not None else []),
+            *([c.purpose.in_(purpose)] if purpose is not None else []), *([c.due.is_not(None)] if booked else []),
+        )
+        for c, episodes in ((m, m.wins + m.draws + m.losses), (r, r.episodes))
+    ]  # fmt: skip
+    return sa.union_all(*parts).subquery()

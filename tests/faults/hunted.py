@@ -208,7 +208,7 @@ def examine(hunted: Hunted, expected: dict[str, Any] | None = None) -> tuple[dic
 
 def _batch(task: RatingMatch) -> list[tuple[str, str | None, int]]:
     """Return the log's rows of a batch; a single pair in a batch has all worlds, as two rows."""
-    return [(*task.pairs[i % len(task.pairs)], task.seed) for i in range(PAIRINGS)]
+    return [(*task.lineups[i % len(task.lineups)], task.seed) for i in range(PAIRINGS)]
 
 
 def findings(hunted: Hunted) -> list[dict[str, Any]]:

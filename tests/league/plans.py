@@ -58,7 +58,7 @@ def turns(config, state) -> list[TrainingTurn]:
 
 
 def pairs_of(planned) -> list[tuple]:
-    return [pair for job in planned.jobs for pair in decode(job).pairs]
+    return [pair for job in planned.jobs for pair in decode(job).lineups]
 
 
 def with_matches(state: LeagueState, played) -> LeagueState:

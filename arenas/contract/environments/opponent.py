@@ -1,6 +1,6 @@
-"""Opponents of a team whose learner is somebody else's: they act for the other team inside the compiled step."""
+"""Opponents of a team whose learner is somebody else's: they act for the other teams inside the compiled step."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -22,7 +22,10 @@ def no_memory(worlds: int) -> tuple[()]:
 
 
 class Opponent(NamedTuple):
-    """A team's players in all worlds N. Programs are compiled once for each `act` and each shape of `params`."""
+    """The players of a team, or of several, in all worlds N.
+
+    Programs are compiled once for each `act` and each shape of `params`.
+    """
 
     # (params, observations (N, obs) by agent name, keys (N,), memory, first (N,) bool: an episode begins)
     # -> actions (N, act) by agent name, memory
@@ -53,6 +56,49 @@ def opponent_for(arena: Arena, team: TeamSpec, choice: "str | Policy | OpponentS
     if callable(choice):
         return _from_function(team, choice)
     raise ArenaError(f"opponent {choice!r:.80} cannot play: give a script's name, league.opponent(...) or a function")
+
+
+def opponent_of_all(arena: Arena, teams: Sequence[TeamSpec], choice: Any) -> Opponent:
+    """Return the opponent that plays all of these `teams`, by one choice for each of them or a mapping of team names.
+
+    Raises ArenaError, one line, if one is missing or cannot play.
+    """
+    chosen = choice if isinstance(choice, Mapping) else {team.name: choice for team in teams}
+    names = [team.name for team in teams]
+    if unknown := [str(name) for name in chosen if name not in names]:
+        raise ArenaError(f"opponent: {', '.join(unknown)} is none of the other teams, {', '.join(names)}")
+    found = []
+    for team in teams:
+        if (own := chosen.get(team.name)) is None:
+            scripts = ", ".join(arena.playable_scripts(team))
+            raise ArenaError(
+                f"who plays {team.name}? Give opponent=: a script ({scripts}) or league.opponent('store#snapshot')"
+            )
+        found.append(opponent_for(arena, team, own))
+    if len(found) == 1:
+        return found[0]
+    act = _joint_actor(tuple(each.act for each in found), tuple(tuple(a.name for a in team.agents) for team in teams))
+
+    def memory(worlds: int) -> Any:
+        return tuple(each.memory(worlds) for each in found)
+
+    return Opponent(act, tuple(each.params for each in found), memory, tuple(each.kept for each in found))
+
+
+@lru_cache(maxsize=16)
+def _joint_actor(acts: tuple[Any, ...], agents: tuple[tuple[str, ...], ...]) -> Any:
+    """Return `Opponent.act` of several teams, each of which sees its own agents' observations only."""
+
+    def act(params: Any, observations: dict[str, Array], keys: Array, memory: Any, first: Array) -> tuple[Actions, Any]:
+        actions, memories = {}, []
+        for i, (own, names) in enumerate(zip(acts, agents, strict=True)):
+            seen = {name: observations[name] for name in names}
+            theirs, kept = own(params[i], seen, agent_keys(keys, i), memory[i], first)
+            actions |= theirs
+            memories.append(kept)
+        return actions, tuple(memories)
+
+    return act
 
 
 def scripted(arena: Arena, team: TeamSpec, name: str) -> Opponent:

@@ -15,7 +15,7 @@ from arenas.contract.environments import arguments
 from arenas.contract.environments.shared_arenas import shared_arena
 from arenas.errors import ArenaError
 from arenas.physics.void_causes import causes_in
-from arenas.state import State
+from arenas.state import State, mean_pairwise_score
 
 Floats = NDArray[np.float32]
 
@@ -142,7 +142,7 @@ class WorldEnv(ParallelEnv[str, Any, Any]):
             "shapings": shapings,
             "events": [event for event, happened in verdict.events.items() if happened[team]],
         }
-        return info | ({"score": float(verdict.score[team])} if seen.done else {})
+        return info | ({"score": float(mean_pairwise_score(verdict.score)[team])} if seen.done else {})
 
 
 def _action(name: str, given: Any, shape: tuple[int, ...]) -> Floats:

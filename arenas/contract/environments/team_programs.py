@@ -1,4 +1,4 @@
-"""Compiled programs of a team's environment: N worlds in which an opponent plays the other team.
+"""Compiled programs of a team's environment: N worlds in which an opponent plays the other teams.
 
 A row is what a learner sees as one environment: a whole team in one world (`joint`), or one of its agents (`shared`).
 """
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.arena import Arena
-from arenas.state import State, TeamSpec
+from arenas.state import State, TeamSpec, mean_pairwise_score
 
 
 class Carry(NamedTuple):
@@ -42,7 +42,7 @@ class TeamStep(NamedTuple):
     done: Array  # (rows,) bool
     outcome: Array  # (rows,) the reward without shaping
     shaping: Array  # (rows,) dense reward
-    score: Array  # (rows,) of the team, 1 win, ½ draw, 0 loss; 0 unless `scored`
+    score: Array  # (rows,) of the team, 1 win, ½ draw, 0 loss, a mean over other teams; 0 unless `scored`
     scored: Array  # (rows,) bool: the episode has ended with a result
     void: Array  # (rows,) bool: physics failed in this decision
 
@@ -111,7 +111,7 @@ def make_reset(arena: Arena, rows: TeamRows) -> Reset:
 
 
 def make_step(arena: Arena, rows: TeamRows, act: Any) -> Step:
-    """Compile a decision in which `act` (see Opponent) moves the other team; None if there is no other team."""
+    """Compile a decision in which `act` (see Opponent) moves the other teams, if there are any."""
     others = [team for i, team in enumerate(arena.teams) if i != rows.index]
 
     def step(carry: Carry, actions: Array, params: Any, weights: Weights) -> tuple[Carry, TeamStep]:
@@ -119,7 +119,7 @@ def make_step(arena: Arena, rows: TeamRows, act: Any) -> Step:
         key, act_key, place_key = jax.random.split(carry.key, 3)
         chosen, memory = rows.actions(actions), carry.memory
         if others:
-            seen = {agent.name: state.observations[agent.name] for agent in others[0].agents}
+            seen = {agent.name: state.observations[agent.name] for team in others for agent in team.agents}
             theirs, memory = act(params, seen, jax.random.split(act_key, worlds), memory, carry.first)
             chosen |= theirs
         after = jax.vmap(arena.step)(state, chosen)
@@ -158,5 +158,5 @@ def _judged(rows: TeamRows, before: State, after: State, fresh: State, weights: 
     return TeamStep(
         rows.observations(fresh), rows.alive(fresh), final, spread(outcome + weights.shaping * shaping),
         spread(terminated), spread(after.done & ~terminated), spread(after.done), spread(outcome), spread(shaping),
-        spread(jnp.where(scored, verdict.score[:, rows.index], 0.0)), spread(scored), spread(void),
+        spread(jnp.where(scored, mean_pairwise_score(verdict.score)[:, rows.index], 0.0)), spread(scored), spread(void),
     )  # fmt: skip

@@ -1,5 +1,6 @@
 """Many worlds of an arena as a Gymnasium `VectorEnv`, in which a team learns against an opponent."""
 
+from collections.abc import Mapping
 from typing import Any, Literal, Unpack
 
 import jax
@@ -10,14 +11,15 @@ from arenas.arena import Settings
 from arenas.arena_settings import EngineOptions
 from arenas.contract.environments import arguments
 from arenas.contract.environments.array_exchange import Library, actions_in_jax, exporter
-from arenas.contract.environments.opponent import Opponent, OpponentSource, Policy, no_memory, opponent_for
+from arenas.contract.environments.opponent import Opponent, OpponentSource, Policy, no_memory, opponent_of_all
 from arenas.contract.environments.shared_arenas import shared_arena
 from arenas.contract.environments.team_programs import Carry, TeamRows, TeamStep, Weights
 from arenas.errors import ArenaError
 from arenas.state import TeamSpec
 
 Agents = Literal["joint", "shared"]
-Choice = str | Policy | OpponentSource | None
+Choice = str | Policy | OpponentSource | Mapping[str, "str | Policy | OpponentSource"] | None
+"""The player of each other team, or a mapping of their names to the player of each."""
 
 
 class TeamVectorEnv(VectorEnv[Any, Any, Any]):
@@ -77,7 +79,8 @@ class TeamVectorEnv(VectorEnv[Any, Any, Any]):
         """Take one decision in all worlds. `actions` (num_envs, act) are arrays of any library, or lists.
 
         Infos are arrays of all rows: `alive`, the agents that take part in the next decision; `outcome` and `shaping`,
-        the parts of the reward; `score` where `_score`, the result of an episode that ended: 1 win, ½ draw, 0 loss;
+        the parts of the reward; `score` where `_score`, the result of an episode that ended: 1 win, ½ draw,
+        0 loss, and against several teams the mean of these;
         `void`, where physics failed and there is none; `final_obs` where `_final_obs`.
         """
         if self._carry is None:
@@ -100,12 +103,7 @@ class TeamVectorEnv(VectorEnv[Any, Any, Any]):
             raise ArenaError(f"arena {self.arena.name} has one team: it takes no opponent")
         if not others:
             return Opponent(_nobody)
-        if choice is None:
-            scripts = ", ".join(self.arena.playable_scripts(others[0]))
-            raise ArenaError(
-                f"who plays {others[0].name}? Give opponent=: a script ({scripts}) or league.opponent('store#snapshot')"
-            )
-        return opponent_for(self.arena, others[0], choice)
+        return opponent_of_all(self.arena, others, choice)
 
 
 def _nobody(*_: Any) -> tuple[dict[str, Any], tuple[()]]:

@@ -8,6 +8,7 @@
 | score        | after the last round: 1 for the team that got more in all, ½ each if neither did           |
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import NamedTuple, Unpack
 
@@ -73,9 +74,11 @@ class MatrixGame(Arena):
         """Return a start without bodies and without choices."""
         return jnp.zeros(0), jnp.zeros(0), Rounds(jnp.zeros(2, jnp.int32), jnp.zeros(()))
 
-    def exchange(self, qpos: Array, qvel: Array, game: Rounds) -> tuple[Array, Array, Rounds]:
+    def exchange(
+        self, qpos: Array, qvel: Array, game: Rounds, order: Sequence[int] = (1, 0)
+    ) -> tuple[Array, Array, Rounds]:
         """Exchange the teams' choices and winnings."""
-        return qpos, qvel, Rounds(game.chosen[::-1], -game.total)
+        return qpos, qvel, Rounds(game.chosen[jnp.array(order)], -game.total)
 
     def decide(self, game: Rounds, actions: dict[str, Array]) -> Rounds:
         """Record each team's choice: the index of its largest number."""

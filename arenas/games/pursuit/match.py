@@ -37,7 +37,6 @@ from arenas.state import Verdict
 
 SIDES = jnp.array([1.0, -1.0])  # the predators' gain is the prey's loss
 HEIGHT = 0.12  # m, of walls, and of pillars below their round tops
-THICK = 0.1  # m, half a wall
 # Bits: the ground has 1, walls and pillars have 2, each kind of robot has one of its own.
 TOUCHES = {"predator": (4, 4 + 2 + 1), "prey": (8, 8 + 2 + 1)}
 
@@ -60,7 +59,8 @@ class Pursuit(Arena):
         robots = settings.predators + settings.prey
         super().__init__(
             settings.name, dict(zip(TEAMS, _rosters(settings), strict=True)), settings.timing, asdict(rules),
-            props=[*_walls(rules.side), *pillars], solver=Solver(contacts=4 * robots, rows=4 * robots), **options,
+            props=[*props.square_of_walls(rules.side, HEIGHT), *pillars],
+            solver=Solver(contacts=4 * robots, rows=4 * robots), **options,
         )  # fmt: skip
         self.rules, self.weights = rules, settings.reward
         self.observation_builder = ObservationBuilder(self.predators, self.prey, rules.obstacles)
@@ -154,16 +154,6 @@ def _rosters(settings: PursuitSettings) -> tuple[list[Robot], list[Robot]]:
         "prey", r.prey_radius, 1.0, r.prey_thrust, r.prey_thrust / r.prey_speed, touches=TOUCHES["prey"], isotropic=True
     )
     return [predator] * settings.predators, [prey] * settings.prey
-
-
-def _walls(side: float) -> list[props.Prop]:
-    """Make four walls round the field, which meet at its corners."""
-    off, z = side / 2 + THICK, HEIGHT / 2
-    along, across = (off + THICK, THICK, z), (THICK, off + THICK, z)
-    return [
-        props.wall("south", at=(0.0, -off, z), half=along), props.wall("north", at=(0.0, off, z), half=along),
-        props.wall("west", at=(-off, 0.0, z), half=across), props.wall("east", at=(off, 0.0, z), half=across),
-    ]  # fmt: skip
 
 
 def _spacing(settings: PursuitSettings) -> tuple[list[float], np.ndarray]:

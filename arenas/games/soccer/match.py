@@ -10,7 +10,7 @@ robot pushed the ball, which ended a shot at its goal), `touch`, `fall`, `launch
 defines a push and a shot.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import NamedTuple, Unpack
 
@@ -109,15 +109,17 @@ class Soccer(Arena):
         """Draw model fields by the settings."""
         return self.randomisation.draw(key, self.scene)
 
-    def exchange(self, qpos: Array, qvel: Array, game: GameState) -> tuple[Array, Array, GameState]:
+    def exchange(
+        self, qpos: Array, qvel: Array, game: GameState, order: Sequence[int] = (1, 0)
+    ) -> tuple[Array, Array, GameState]:
         """Exchange the teams and rotate everything, including the ball, by half a turn about the pitch's centre."""
-        qpos, qvel, _ = super().exchange(qpos, qvel, game)
+        qpos, qvel, _ = super().exchange(qpos, qvel, game, order)
         for at, speed in self._free():
             x, y, z, w, i, j, k = qpos[at : at + 7]
             # Half a turn about z is the quaternion (0, 0, 0, 1), multiplied from the left.
             qpos = qpos.at[at : at + 7].set(jnp.stack([-x, -y, z, -k, -j, i, w]))
             qvel = qvel.at[speed : speed + 2].multiply(-1.0)  # linear in the world's frame; spin is in the body's own
-        return qpos, qvel, GameState(game.last[::-1])
+        return qpos, qvel, GameState(game.last[jnp.array(order)])
 
     def judge(self, before: Physics, physics: Physics, game: GameState) -> tuple[GameState, Verdict]:
         """Judge the control step: the first goal wins, falls count by the rules, the end of time is a draw."""

@@ -9,7 +9,7 @@ The observation has HARL-A's slots (`arenas/games/sumo/paper_observation.py`): A
 the other's block.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import NamedTuple, Unpack
 
@@ -128,12 +128,15 @@ class BlockPush(Arena):
         """Draw model fields by the settings."""
         return self.randomisation.draw(key, self.scene)
 
-    def exchange(self, qpos: Array, qvel: Array, game: GameState) -> tuple[Array, Array, GameState]:
+    def exchange(
+        self, qpos: Array, qvel: Array, game: GameState, order: Sequence[int] = (1, 0)
+    ) -> tuple[Array, Array, GameState]:
         """Exchange the blocks together with the robots that own them."""
-        changed, moved, game = super().exchange(qpos, qvel, game)
+        changed, moved, game = super().exchange(qpos, qvel, game, order)
         speeds = np.array([self.scene.props[name].qvel for name in BLOCKS])[:, None] + np.arange(6)
         poses = self._blocks[:, None] + np.arange(7)
-        return changed.at[poses].set(qpos[poses[::-1]]), moved.at[speeds].set(qvel[speeds[::-1]]), game
+        places = list(order)
+        return changed.at[poses].set(qpos[poses[places]]), moved.at[speeds].set(qvel[speeds[places]]), game
 
     def judge(self, before: Physics, physics: Physics, game: GameState) -> tuple[GameState, Verdict]:
         """Count the own block out for a team, the own robot out or fallen against it; the higher count wins."""

@@ -1,11 +1,14 @@
 """Results of games as columns, and a fast conversion of plain CSV text to columns. R is the number of rows."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import islice
 
 import numpy as np
 
+from league.config.schema import ConfigError
 from storage.database.garbage_collection import paused_garbage_collection
 
 CHUNK = 50_000
@@ -63,11 +66,37 @@ def quick(
         most: most games of one kind in a row.
         seeds: the name of the column of seed pairs.
     """
+    coded = {"arena": Words(), "name": Words(), "count": Counts(most), "seed": Words(empty=True)}
+    kinds = {"arena": "arena", "side_a": "name", "side_b": "name", seeds: "seed"}
+    coders = {name: coded[kinds.get(name, "count")] for name in places}
+    column = coded_columns(text, separator, places, width, coders)
+    if column is None or (column["side_a"] == column["side_b"]).any():
+        return None
+    games = np.stack([column[name] for name in ("wins_a", "draws", "wins_b")], 1)
+    none = np.full(len(games), -1)
+    return Columns(
+        coded["arena"].words, coded["name"].words, coded["seed"].words, column["arena"], column["side_a"],
+        column["side_b"], games, column.get(seeds, none),
+    )  # fmt: skip
+
+
+def coded_columns(
+    text: str, separator: str, places: Mapping[str, int], width: int, coders: Mapping[str, "Words"]
+) -> dict[str, np.ndarray] | None:
+    """Return the columns (R,) of a CSV text below its first line as numbers.
+
+    Return None if a row is wrong or anything is quoted.
+
+    Args:
+        text: the text with its first line.
+        separator: the separator between fields.
+        places: the index of each wanted column.
+        width: number of fields of each line.
+        coders: what makes numbers of each column's fields.
+    """
     text = text.replace("\r\n", "\n")
     if any(mark in text for mark in ('"', "\r", "\0")):
         return None
-    coded = {"arena": _Words(), "name": _Words(), "count": _Counts(most), "seed": _Words(empty=True)}
-    kinds = {"arena": "arena", "side_a": "name", "side_b": "name", seeds: "seed"}
     lines = iter(text.split("\n"))
     next(lines, None)
     parts: dict[str, list[np.ndarray]] = {name: [] for name in places}
@@ -78,28 +107,59 @@ def quick(
                 return None
             columns = list(zip(*rows, strict=True)) or [()] * width
         for name, place in places.items():
-            found = coded[kinds.get(name, "count")].of(columns[place])
+            found = coders[name].of(columns[place])
             if found is None:
                 return None
             parts[name].append(found)
-    column = {name: np.concatenate(some) if some else np.zeros(0, np.int64) for name, some in parts.items()}
-    if (column["side_a"] == column["side_b"]).any():
-        return None
-    games = np.stack([column[name] for name in ("wins_a", "draws", "wins_b")], 1)
-    none = np.full(len(games), -1)
-    return Columns(
-        coded["arena"].words, coded["name"].words, coded["seed"].words, column["arena"], column["side_a"],
-        column["side_b"], games, column.get(seeds, none),
-    )  # fmt: skip
+    return {name: np.concatenate(some) if some else np.zeros(0, np.int64) for name, some in parts.items()}
 
 
-class _Words:
+def column_places(
+    header: Sequence[str], source: str, columns: Sequence[str], optional: Sequence[str] = (), hint: str = ""
+) -> dict[str, int]:
+    """Return the index of each column in the first line. Raises ConfigError for one that is missing or there twice.
+
+    `hint` says in messages what the optional columns are for.
+    """
+    if not any(header):
+        raise ConfigError((), f"{source} is empty: its first line names the columns {','.join(columns)}")
+    for name in columns:
+        if name not in header:
+            near = get_close_matches(name, [each for each in header if each not in columns], 1)
+            meant = f" (is it {near[0]!r}?)" if near else ""
+            needs = f"the first line names the columns {','.join(columns)}{hint}"
+            raise ConfigError((), f"there is no column {name}{meant}: {needs}", f"{source}:1: ")
+    for name in (*columns, *optional):
+        if header.count(name) > 1:
+            raise ConfigError((), f"there are {header.count(name)} columns {name}", f"{source}:1: ")
+    return {name: header.index(name) for name in (*columns, *optional) if name in header}
+
+
+def row_values(fields: Sequence[str], header: Sequence[str], places: Mapping[str, int], place: str) -> dict[str, str]:
+    """Return the fields of a row by column, without spaces around them. Raises ConfigError for too many or too few."""
+    if len(fields) != len(header):
+        raise ConfigError((), f"{len(fields)} fields where the first line names {len(header)} columns", place)
+    return {name: fields[at].strip() for name, at in places.items()}
+
+
+def require_name(value: str, name: str, place: str) -> None:
+    """Raise ConfigError unless the value of a column can be a name."""
+    if not value:
+        raise ConfigError((), f"{name} is empty: it must be a name", place)
+    if len(value) > LONGEST:
+        what = f"{name} has {len(value):,} characters: a name has at most {LONGEST}"
+        raise ConfigError((), what, place)
+
+
+class Words:
     """Numbers of words, in the order of their first appearance; spaces around them do not count."""
+
+    dtype: type = np.int64
 
     def __init__(self, empty: bool = False):
         self.words: list[str] = []
         self._numbers: dict[str, int] = {}
-        self._known: dict[str, int] = {}  # as written
+        self._known: dict[str, float] = {}  # as written
         self._empty = empty
 
     def of(self, column: Sequence[str]) -> np.ndarray | None:
@@ -109,9 +169,9 @@ class _Words:
             if number is None:
                 return None
             self._known[word] = number
-        return np.fromiter(map(self._known.__getitem__, column), np.int64, len(column))
+        return np.fromiter(map(self._known.__getitem__, column), self.dtype, len(column))
 
-    def _new(self, word: str) -> int | None:
+    def _new(self, word: str) -> float | None:
         plain = word.strip()
         if not plain or len(word) > LONGEST:
             return -1 if self._empty and not plain else None
@@ -121,18 +181,36 @@ class _Words:
         return number
 
 
-class _Counts(_Words):
+class Counts(Words):
     """Counts as numbers."""
 
     def __init__(self, most: int):
         super().__init__()
         self._most = most
 
-    def _new(self, word: str) -> int | None:
+    def _new(self, word: str) -> float | None:
         plain = word.strip()
         if not (plain.isascii() and plain.isdigit() and len(plain) <= 20 and int(plain) <= self._most):
             return None
         return int(plain)
+
+
+class Ranks(Words):
+    """Finite numbers."""
+
+    dtype = float
+
+    def _new(self, word: str) -> float | None:
+        return rank_of(word)
+
+
+def rank_of(word: str) -> float | None:
+    """Return the finite number that a field is; None for anything else."""
+    try:
+        value = float(word)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) and "_" not in word else None
 
 
 def _number(numbers: dict[str, int], word: str) -> int:

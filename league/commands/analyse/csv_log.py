@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from league.commands.analyse.csv_columns import LONGEST, Columns, quick
+from league.commands.analyse.csv_columns import Columns, column_places, quick, require_name, row_values
 from league.config import text_files
 from league.config.schema import ConfigError
 from matchmaking.ratings.fit import Clusters
@@ -52,7 +52,7 @@ def parse(text: str, source: str) -> Columns:
     lines = text_files.rows(text, separator, source)
     _, header = next(lines, (0, []))
     header = [name.strip(" \t") for name in header]
-    places = _places(header, source)
+    places = column_places(header, source, COLUMNS, [SEED_PAIR], f", and {SEED_PAIR} if there are seed pairs")
     found = quick(text, separator, places, len(header), LARGEST, SEED_PAIR)
     if found is None:  # row by row, to find the one that is wrong
         found = Columns.of(_result(fields, header, places, f"{source}:{line}: ") for line, fields in lines)
@@ -119,32 +119,10 @@ def _runs(*keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order, np.flatnonzero(changes)
 
 
-def _places(header: Sequence[str], source: str) -> dict[str, int]:
-    """Return the index of each column."""
-    if not any(header):
-        raise ConfigError((), f"{source} is empty: its first line names the columns {','.join(COLUMNS)}")
-    for name in COLUMNS:
-        if name not in header:
-            near = get_close_matches(name, [each for each in header if each not in COLUMNS], 1)
-            hint = f" (is it {near[0]!r}?)" if near else ""
-            needs = f"the first line names the columns {','.join(COLUMNS)}, and {SEED_PAIR} if there are seed pairs"
-            raise ConfigError((), f"there is no column {name}{hint}: {needs}", f"{source}:1: ")
-    for name in (*COLUMNS, SEED_PAIR):
-        if header.count(name) > 1:
-            raise ConfigError((), f"there are {header.count(name)} columns {name}", f"{source}:1: ")
-    return {name: header.index(name) for name in (*COLUMNS, SEED_PAIR) if name in header}
-
-
 def _result(fields: Sequence[str], header: Sequence[str], places: dict[str, int], place: str) -> Result:
-    if len(fields) != len(header):
-        raise ConfigError((), f"{len(fields)} fields where the first line names {len(header)} columns", place)
-    value = {name: fields[at].strip() for name, at in places.items()}
+    value = row_values(fields, header, places, place)
     for name in ("arena", "side_a", "side_b"):
-        if not value[name]:
-            raise ConfigError((), f"{name} is empty: it must be a name", place)
-        if len(value[name]) > LONGEST:
-            what = f"{name} has {len(value[name]):,} characters: a name has at most {LONGEST}"
-            raise ConfigError((), what, place)
+        require_name(value[name], name, place)
     if value["side_a"] == value["side_b"]:
         raise ConfigError((), f"{value['side_a']!r} plays against itself, which says nothing of strength", place)
     wins, draws, losses = (_count(value[name], name, place) for name in ("wins_a", "draws", "wins_b"))

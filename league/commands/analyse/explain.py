@@ -67,11 +67,14 @@ def _text(found: dict[str, Any]) -> str:
         return f"{found['player']} has nobody to meet: there is one team."
     parts = []
     for team in found["teams"]:
+        several = len(found["teams"]) > 1
         if found["share"]:
+            others = f"others of team {team['team']}" if several else "others"
             share = f"in {100 * found['share']:.3g} % of its worlds"
-            lines = [f"{found['player']} meets others by the rule {found['kind']}, {share}: {team['why']}."]
+            lines = [f"{found['player']} meets {others} by the rule {found['kind']}, {share}: {team['why']}."]
         else:
-            lines = [f"{found['player']} meets the other team as it is now: the share of the past is 0."]
+            other = f"team {team['team']}" if several else "the other team"
+            lines = [f"{found['player']} meets {other} as it is now: the share of the past is 0."]
         if not found["learns"]:
             lines.append("It does not learn now.")
         shown = opponent_columns(team)

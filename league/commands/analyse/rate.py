@@ -9,16 +9,16 @@ from typing import Any, Literal
 
 from dashboards.tables import Column, render
 from dashboards.text import wrapped
-from league.commands.analyse import csv_log
+from league.commands.analyse import csv_log, csv_rankings
 from league.commands.options import Where, parse, positional
 from league.config import text_files
 from league.config.durations import check_duration
 from league.config.schema import ConfigError
 from league.queries.ratings import unbounded_fits
 from matchmaking.ratings import priors
-from matchmaking.ratings.davidson import NotConverged
 from matchmaking.ratings.fit import Ratings, fit
-from matchmaking.ratings.separation import Separation
+from matchmaking.ratings.likelihoods.penalised import NotConverged
+from matchmaking.ratings.separation import Separation, examined
 from matchmaking.ratings.undefeated import Unbounded
 
 PRIOR = 4.0
@@ -34,6 +34,8 @@ class RateOptions:
 
     file: str | None = positional(None)
     """A CSV file, - for standard input. Columns: arena,side_a,side_b,wins_a,draws,wins_b, and seed_pair if you like."""
+    rankings: str | None = None
+    """In place of FILE.csv: a CSV file of rankings, - for standard input. Columns: event,player,rank (equal: a tie)."""
     arena: str | None = None
     """Arena whose results to rate; needed if the file has several, whose ratings are not comparable."""
     anchor: str | None = None
@@ -60,8 +62,9 @@ class RateOptions:
     """With --store: stop when no 95 % interval is wider, in Elo (none: play on)."""
 
 
+LOG_ONLY = ("arena", "no_side")
 FILE_ONLY, STORE_ONLY = (
-    ("arena", "anchor", "no_side", "prior", "format"),
+    (*LOG_ONLY, "anchor", "prior", "format"),
     ("league", "blobs", "among", "budget", "episodes", "width"),
 )
 
@@ -69,8 +72,9 @@ FILE_ONLY, STORE_ONLY = (
 def rate(args: list[str]) -> int:
     """Rate a match log."""
     what = (
-        "Rate a match log of your own: Bradley-Terry with draws and a side advantage, on the Elo scale. Or rate the"
-        " snapshots of a store by matches played now, without training."
+        "Rate a match log of your own: Bradley-Terry with draws and a side advantage, on the Elo scale. Or rate"
+        " rankings of any number of players (Plackett-Luce with ties), or the snapshots of a store by matches played"
+        " now, without training."
     )
     options = parse(RateOptions, args, "rate", what)
     _check_source(options)
@@ -79,13 +83,10 @@ def rate(args: list[str]) -> int:
 
         with Where(options.store, options.league, options.blobs).open() as opened:
             return rate_store(opened, options.among, options.budget, options.episodes, options.width)
-    assert options.file is not None
-    source = text_files.STDIN if options.file == "-" else options.file
-    arena = None if options.arena is None else text_files.composed(options.arena)
-    log = csv_log.sums(csv_log.choose(csv_log.read(options.file), arena, source))
-    found = unbounded_fits.examined(log.payoff, not options.no_side)
+    source, log = _log(options)
+    found = examined(log.payoff, not options.no_side)
     ratings = _fitted(log, found, options, source)
-    without = "" if options.no_side else "--no-side"
+    without = "" if options.no_side or log.payoff.rankings else "--no-side"
     warnings = unbounded_fits.warnings(found, log.payoff, "side A", _held(options), without, own=True)
     print(_report(ratings, log, options, found, warnings))
     if options.format == "csv":
@@ -94,12 +95,26 @@ def rate(args: list[str]) -> int:
     return 0
 
 
+def _log(options: RateOptions) -> tuple[str, csv_log.Log]:
+    """Return the name of the file in messages, and its games. Raises ConfigError."""
+    if options.rankings is not None:
+        return text_files.STDIN if options.rankings == "-" else options.rankings, csv_rankings.read(options.rankings)
+    assert options.file is not None
+    source = text_files.STDIN if options.file == "-" else options.file
+    arena = None if options.arena is None else text_files.composed(options.arena)
+    return source, csv_log.sums(csv_log.choose(csv_log.read(options.file), arena, source))
+
+
 def _check_source(options: RateOptions) -> None:
-    """Raise ConfigError unless a file or a store is given, with flags for it alone."""
-    if (options.file is None) == (options.store is None):
-        given = "both are given" if options.file else "neither is given"
-        raise ConfigError((), f"league rate takes FILE.csv or --store STORE, and {given}: see league rate --help")
+    """Raise ConfigError unless one file or a store is given, with flags for it alone."""
+    given = sum(source is not None for source in (options.file, options.rankings, options.store))
+    if given != 1:
+        found = f"{('none', '', 'two', 'three')[given]} {'is' if not given else 'are'} given"
+        takes = "league rate takes FILE.csv, --rankings FILE.csv or --store STORE"
+        raise ConfigError((), f"{takes}, and {found}: see league rate --help")
     wrong, of = (FILE_ONLY, "FILE.csv") if options.store is not None else (STORE_ONLY, "--store")
+    if options.rankings is not None:
+        wrong, of = (*STORE_ONLY, *LOG_ONLY), "FILE.csv without --rankings, or for --store"
     default = RateOptions(file=None)
     for name in wrong:
         if getattr(options, name) != getattr(default, name):
@@ -119,7 +134,7 @@ def _fitted(log: csv_log.Log, found: Separation, options: RateOptions, source: s
         )  # fmt: skip
     except Unbounded as error:
         cure = "give --prior above 0"
-        if found.side and unbounded_fits.examined(log.payoff, False).finite:
+        if found.side and examined(log.payoff, False).finite:
             cure = "use --no-side if the log names the winner first"
         raise ConfigError(
             ("prior",), f"{source}: {error}; that has no finite rating without a prior: {cure}"
@@ -148,7 +163,7 @@ def rows(ratings: Ratings, found: Separation) -> list[dict[str, Any]]:
 
 
 def summary(ratings: Ratings, found: Separation, warnings: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the fit as an object for JSON.
+    """Return the fit as an object for JSON; the fit of rankings has the tie terms δ by number of tied players.
 
     None stands for a side advantage that was not fitted, for draws if there were none, and for values that are not
     finite.
@@ -163,6 +178,7 @@ def summary(ratings: Ratings, found: Separation, warnings: Sequence[str] = ()) -
         "islands": found.islands,
         "unbounded": unbounded_fits.as_object(found, ratings.names),
         "warnings": list(warnings),
+        **({"ties": ratings.ties} if ratings.ties and not found.draw else {}),
     }
 
 
@@ -176,11 +192,11 @@ def _report(
     table = [
         {**row, "error": None if row["elo"] is None else (row["high"] - row["low"]) / 2} for row in rows(ratings, found)
     ]
-    arena = log.payoff.arena.arena if log.payoff.arena else ""
+    where = f" in {log.payoff.arena.arena}" if log.payoff.arena else ""
     notes = "\n".join(map(wrapped, _notes(ratings, log, options, found)))
     shown = [*RATED, *([ISLAND] if found.islands > 1 else []), *([UNBOUNDED] if any(found.ratings) else [])]
     above = [*map(wrapped, warnings), ""] if warnings else []
-    return "\n".join([wrapped(f"Elo with 95 % intervals in {arena}"), "", *above, render(table, shown), "", notes])
+    return "\n".join([wrapped(f"Elo with 95 % intervals{where}"), "", *above, render(table, shown), "", notes])
 
 
 def _notes(ratings: Ratings, log: csv_log.Log, options: RateOptions, found: Separation) -> list[str]:
@@ -196,13 +212,14 @@ def _notes(ratings: Ratings, log: csv_log.Log, options: RateOptions, found: Sepa
         notes.append("What side A is worth is not known, see above.")
     elif not math.isnan(error := ratings.side_stderr):
         notes.append(f"Side A is worth {ratings.side_advantage:+.0f} Elo (standard error {error:.0f}).")
-    elif not options.no_side:
+    elif not options.no_side and not log.payoff.rankings:
         notes.append("What side A is worth cannot be told from strength: sides did not change.")
     if found.draw:
         notes.append("How often equals draw is not known, see above.")
     elif ratings.draw:
         share = 100 * ratings.draw / (2 + ratings.draw)
-        notes.append(f"Between equals {share:.1f} % of the games are drawn (Davidson's ν {ratings.draw:.3g}).")
+        what = "rankings of two are ties" if ratings.ties else "games are drawn"
+        notes.append(f"Between equals {share:.1f} % of the {what} (Davidson's ν {ratings.draw:.3g}).")
     if clustered := int(log.clusters.number.sum()):
         pairs = f"{clustered:,} seed pairs" if clustered > 1 else "one seed pair"
         notes.append(f"The games of {pairs} count pair by pair in the intervals.")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from league.commands.options import HypothesesOptions, Where, parse, positional
 from league.commands.progress_bar import report_kernels
 from league.config.schema import ConfigError
-from league.matches.adhoc_matches import Pairing, pairing
+from league.matches.adhoc_matches import Pairing, pairing, require_two_sides
 from matchmaking.ratings.sprt import SequentialTest, SprtResult
 from storage.records import Match, PairCounts
 
@@ -39,6 +39,7 @@ def gate(args: list[str]) -> int:
     """Play until the test is decided."""
     options = parse(GateOptions, args, "gate", WHAT)
     with options.open() as opened:
+        require_two_sides(opened, "a gate")
         found = pairing(opened, options.a, options.b)
         _refuse(found)
         return decide(found, options.test(), options.batch, options.most)

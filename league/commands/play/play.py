@@ -1,13 +1,16 @@
 """`league play`: an exhibition to watch, which counts for no rating."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from league.commands.options import Where, parse, positional
 from league.commands.progress_bar import report_kernels
 from league.config.schema import ConfigError
-from league.matches.adhoc_matches import exhibition, pairing
+from league.matches.adhoc_matches import Pairing, exhibition, pairing
 from league.queries.query import score_text
+from league.state.match_results import results_of
 from matchmaking.ratings.payoff import Score, score_interval
+from storage.records import Match, RankedMatch
 
 MOST = 100
 """Most recordings of an exhibition: each takes some hundred kilobytes, and its frames stay in memory until written."""
@@ -26,6 +29,8 @@ class PlayOptions(Where):
     """A snapshot, such as blue@64 or pusher, or a player, whose newest it is: `league snapshots` lists them."""
     b: str | None = positional(None)
     """Another one; left out in an arena of one team."""
+    others: tuple[str, ...] = positional((), many=True)
+    """Those of the third and further teams."""
     episodes: int = field(default=2, metadata={"low": 1, "high": 2**20})
     """Episodes to play; where rosters allow, every other one with sides swapped."""
     record: str = field(default="1", metadata={"valid": _record})
@@ -40,19 +45,47 @@ def play(args: list[str]) -> int:
     if recordings > MOST:
         raise ConfigError(("record",), f"--record all: {recordings} recordings are more than {MOST}; give a number")
     with options.open() as opened:
-        found = pairing(opened, options.a, options.b)
+        found = pairing(opened, options.a, options.b, *options.others)
         with report_kernels():
             matches = exhibition(found, options.episodes, recordings)
-    wins, draws, losses, voids = (sum(getattr(m, n) for m in matches) for n in ("wins", "draws", "losses", "voids"))
-    games, text = wins + draws + losses, ""
-    if games:
-        low, high = score_interval(wins, draws, losses)
-        text = score_text(Score((wins + draws / 2) / games, float(low), float(high), games))
-        text = f" {found.a.name} scores {text}."
-    against = f" against {found.b.name}" if found.b else ""
-    counts = f"{wins} won, {draws} drawn, {losses} lost" + (f", {voids} void" if voids else "")
-    print(f"Exhibition of {found.a.name}{against}: {counts}.{text}")
+    print(_ranking(found, matches) if found.others else _result(found, matches))
     for match in matches:
         if match.recording is not None:
             print(f"  league watch {match.id}")
     return 0
+
+
+def _result(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
+    """Describe the result of one team or two, for A."""
+    wins, draws, losses = _counts(matches, found.a.name)
+    against = f" against {found.b.name}" if found.b else ""
+    counts = f"{wins} won, {draws} drawn, {losses} lost{_voids(matches)}"
+    score = f" {found.a.name} scores {_score(wins, draws, losses)}." if wins + draws + losses else ""
+    return f"Exhibition of {found.a.name}{against}: {counts}.{score}"
+
+
+def _ranking(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
+    """Describe the result of three and more teams: each snapshot's score against the others, the best first."""
+    names = list(dict.fromkeys(s.name for s in found.players))
+    counts = {name: _counts(matches, name) for name in names}
+    episodes = sum(match.episodes for match in matches)
+    lines = [f"Exhibition of {', '.join(names)}: {episodes} episode{'s' * (episodes != 1)}{_voids(matches)}."]
+    met = [name for name in names if sum(counts[name])]
+    for name in sorted(met, key=lambda name: -(counts[name][0] + counts[name][1] / 2) / sum(counts[name])):
+        lines.append(f"  {name} scores {_score(*counts[name])} against the others.")
+    return "\n".join(lines)
+
+
+def _counts(matches: Sequence[Match | RankedMatch], name: str) -> tuple[int, int, int]:
+    wins, draws, losses = (sum(each) for each in zip(*(results_of(match, name) for match in matches), strict=True))
+    return wins, draws, losses
+
+
+def _score(wins: int, draws: int, losses: int) -> str:
+    games, (low, high) = wins + draws + losses, score_interval(wins, draws, losses)
+    return score_text(Score((wins + draws / 2) / games, float(low), float(high), games))
+
+
+def _voids(matches: Sequence[Match | RankedMatch]) -> str:
+    voids = sum(match.voids for match in matches)
+    return f", {voids} void" if voids else ""

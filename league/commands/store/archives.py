@@ -84,7 +84,9 @@ def unpack(args: list[str]) -> int:
 
 
 def _summary(done: archive.Moved) -> str:
-    rows = ", ".join(f"{done.rows[table]:,} {table}" for table in ("snapshots", "checkpoints", "matches"))
+    counts = {table: done.rows[table] for table in ("snapshots", "checkpoints", "matches")}
+    counts["matches"] += done.rows.get("ranked_matches", 0)
+    rows = ", ".join(f"{number:,} {table}" for table, number in counts.items())
     names = f"league {done.leagues[0]}" if len(done.leagues) == 1 else f"leagues {', '.join(done.leagues)}"
     return f"{names} ({rows}; {done.blobs:,} blobs)"
 

@@ -27,7 +27,7 @@ class WatchOptions(ViewOptions, Where):
     closest: bool = False
     """The match between two snapshots whose score was nearest to one half."""
     between: tuple[str, ...] = ()
-    """A match of these two snapshots: --between blue@64 red@8."""
+    """A match of these two snapshots, and of more teams others too: --between blue@64 red@8."""
     player: str | None = None
     """A match of this player."""
     episode: int = 0

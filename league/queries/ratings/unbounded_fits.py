@@ -5,19 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from matchmaking.ratings import priors, separation
-from matchmaking.ratings.davidson import Likelihood
 from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.payoff import Payoff
-from matchmaking.ratings.separation import Separation
+from matchmaking.ratings.separation import Separation, examined
 
 LISTED = 5
 """Most names in a sentence: JSON and CSV have all."""
-
-
-def examined(payoff: Payoff, sides: bool = True) -> Separation:
-    """Find the parameters of a fit of this payoff that have no finite value without a prior."""
-    return separation.find_separation(Likelihood.of(payoff, priors.none(), sides))
 
 
 def as_object(found: Separation, names: Sequence[str]) -> dict[str, Any]:
@@ -102,7 +95,9 @@ def _side(found: Separation, payoff: Payoff, first: str, held: str, without_side
 def _draw(payoff: Payoff, held: str, own: bool, cured: bool) -> str:
     games = np.concatenate([payoff.home, payoff.away])
     drawn, decided = games[:, 1] > 0, games[:, [0, 2]].any(1)
-    if not decided.any():
+    if payoff.rankings and decided.any():
+        why = "strengths explain which players were tied"
+    elif not decided.any():
         why = "every game was drawn"
     elif not (drawn & decided).any():
         why = "in each pairing every game was drawn, or none"
@@ -114,7 +109,7 @@ def _draw(payoff: Payoff, held: str, own: bool, cured: bool) -> str:
     if cured:
         return f"{said} Without a side advantage it has one."
     return f"{said} Further games of the same pairings would tell" + (
-        ", or rate the decided games alone (draws as 0)." if own else "."
+        ", or rate the decided games alone (draws as 0)." if own and not payoff.rankings else "."
     )
 
 

@@ -31,8 +31,8 @@ def broken(settings, engine):
     return [check for check in check_arena(arena, settings) if not check.ok]
 
 
-QUICK = {"sumo-1v1", "pursuit", "rock-paper-scissors"}
-ONE_OF_EACH_GAME = {"sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "rock-paper-scissors"}
+QUICK = {"sumo-1v1", "pursuit", "tag", "rock-paper-scissors"}
+ONE_OF_EACH_GAME = {"sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "tag", "rock-paper-scissors"}
 
 
 @pytest.mark.parametrize(

@@ -237,3 +237,23 @@ def test_it_is_an_environment_of_gymnasium(race):
     assert isinstance(race, gymnasium.vector.VectorEnv)
     assert race.action_space.shape == (4, 2)
     race.close()
+
+
+def test_an_opponent_plays_every_other_team_or_each_has_its_own():
+    same = arenas.vector("tag", "blue", "tagger", num_envs=8, threads=1)
+    mixed = arenas.vector("tag", "blue", {"red": "idle", "green": "tagger"}, num_envs=8, threads=1)
+    moved = {}
+    for name, env in (("same", same), ("mixed", mixed)):
+        env.reset(seed=1)
+        for _ in range(5):
+            env.step(np.zeros((8, 2)))
+        speed = np.asarray(env._carry.state.physics.qvel).reshape(8, -1, 6)[:, :3, :2]
+        moved[name] = np.linalg.norm(speed, axis=-1)  # (worlds, pucks)
+    assert (moved["same"][:, 0] < 1e-3).all()
+    assert (moved["same"][:, 1:] > 0.1).all()
+    assert (moved["mixed"][:, :2] < 1e-3).all()
+    assert (moved["mixed"][:, 2] > 0.1).all()
+    with pytest.raises(ArenaError, match=r"^who plays green\? Give opponent=: a script \(idle, random, chaser"):
+        arenas.vector("tag", "blue", {"red": "idle"}, num_envs=2)
+    with pytest.raises(ArenaError, match=r"^opponent: pink is none of the other teams, red, green$"):
+        arenas.vector("tag", "blue", {"red": "idle", "green": "idle", "pink": "idle"}, num_envs=2)

@@ -180,3 +180,50 @@ def test_an_exhibition_is_recorded_and_counts_for_no_rating(tmp_path, capsys):
     assert len(seeds) == 2  # another exhibition is another
     _, table, _ = said(capsys, "matches", "--store", str(pucks))
     assert "exhibition" in table
+
+
+# Three teams ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pucks(tmp_path_factory):
+    return league(tmp_path_factory.mktemp("pucks") / "pucks", arenas.settings("tag"))
+
+
+def test_an_exhibition_of_three_ranks_them_and_records_each_seating_in_a_match_of_its_own(pucks, capsys):
+    asked = ("tagger", "idle", "chaser", "--episodes", "6", "--record", "2", "--store", str(pucks))
+    code, out, _ = said(capsys, "play", *asked)
+    assert code == 0
+    first, *lines = out.splitlines()
+    assert first == "Exhibition of tagger, idle, chaser: 6 episodes."
+    assert lines[0].startswith("  tagger scores ")
+    assert [line.split()[0] for line in lines if "against the others" in line][-1] == "idle"
+    with Store.open(pucks) as store:
+        matches = store.log("main", "exhibition")
+        recordings = [from_bytes(store.blobs.get(m.recording)) for m in matches if m.recording]
+        assert store.totals("main", RATED_PURPOSES) == {}
+    assert sum(m.episodes for m in matches) == 6
+    rotations = {("tagger", "idle", "chaser"), ("idle", "chaser", "tagger"), ("chaser", "tagger", "idle")}
+    assert {m.snapshots for m in matches} == rotations
+    assert [each.header.sides for each in recordings] == [m.snapshots for m in matches if m.recording]
+    for found, recording in zip(matches, recordings, strict=False):
+        (ranks,) = found.rankings
+        score = recording.header.score
+        assert [1 + sum(other > own for other in score) for own in score] == list(ranks)
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("play", "tagger"), "has several teams: name 3 snapshots"),
+        (("play", "tagger", "idle"), "has 3 teams: name 3 snapshots, not 2"),
+        (("play", "tagger", "idle", "chaser", "runner"), "has 3 teams: name 3 snapshots, not 4"),
+        (("gate", "tagger", "idle"), "has 3 teams, and a gate is for two: `league ratings` ranks its players"),
+        (("exploit", "tagger", "--for", "1m"), "has 3 teams, and a bound of exploitability is for two"),
+    ],
+)
+def test_what_does_not_fit_three_teams_is_told_in_one_line(args, says, pucks, capsys):
+    code, out, err = said(capsys, *args, "--store", str(pucks))
+    assert (code, out) == (2, "")
+    assert says in err
+    assert err.count("\n") == 1

@@ -9,7 +9,7 @@ import arenas
 from agents.rollout.rollout import PlayedEpisodes
 from arenas.robots.puck import RADIUS
 from arenas.state import Frames
-from league.matches.episode_recording import episode
+from league.matches.episode_recording import _outcome, episode
 from storage.records import Snapshot
 from tests.arenas.race import RaceRules, RaceSettings
 from tests.league.conftest import PUCKS
@@ -94,3 +94,16 @@ def test_a_void_episode_says_so_and_numbers_that_are_none_touch_nobody(arena):
     broken = np.full((2, 5), 3.0)
     broken[1] = np.nan
     assert told(arena, broken, void=True) == [(9, "void")]
+
+
+@pytest.mark.parametrize(
+    ("score", "outcome"),
+    [
+        ((2.0, 5.0, 1.0), "q wins as red"),
+        ((5.0, 1.0, 5.0), "p as blue and r as green tie ahead of the others"),
+        ((3.0, 3.0, 3.0), "draw"),
+    ],
+)
+def test_the_outcome_of_three_teams_names_who_is_ahead(score, outcome):
+    sides = [Snapshot("tiny", name, name, "puck:20:2") for name in "pqr"]
+    assert _outcome(np.array(score), False, sides, ("blue", "red", "green")) == outcome

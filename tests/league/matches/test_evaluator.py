@@ -12,6 +12,7 @@ from league.config import presets
 from league.matches.evaluator import MatchEvaluator
 from league.snapshots.codec import add_scripts
 from league.state.jobs import RatingMatch
+from league.state.match_results import results_of
 from storage.errors import StorageError
 from storage.records import League, Match, PairCounts, Snapshot
 from storage.store import Store
@@ -159,3 +160,67 @@ def test_a_referee_keeps_no_more_policies_in_memory_than_it_may(tmp_path):
             evaluator._load(store, snapshot)
         assert len(store.snapshots("tiny")) > 2
         assert len(evaluator._policies) == 2
+
+
+# Three teams ----------------------------------------------------------------------------------------------------------
+
+P, Q, R = (Snapshot("tiny", name, f"digest of {name}", "puck:20:2") for name in "pqr")
+
+
+@pytest.fixture(scope="module")
+def three():
+    config = presets.tag()
+    config = replace(config, rating=replace(config.rating, worlds=12, pairings=2, record=False))
+    return MatchEvaluator(config, config.arena.build(engine="c", threads=1), "tiny")
+
+
+def test_a_lineup_of_three_plays_in_its_three_rotations_from_the_same_seeds(three):
+    assert (three.groups, three.each) == (3, 2)
+    seating = three.side_orders(P, Q, R)
+    assert seating == ((P, Q, R), (Q, R, P), (R, P, Q))
+    twice = [*seating, *three.side_orders(P, P, P)]
+    keys = np.asarray(jax.random.key_data(three._keys(twice, seed=5))).reshape(6, 2, -1)
+    assert (keys[0] == keys[1]).all()
+    assert (keys[0] == keys[2]).all()
+    assert len(np.unique(keys[[0, 3, 4, 5]].reshape(8, -1), axis=0)) == 8  # equal seatings repeat no seed
+    with pytest.raises(StorageError, match=r"p \(puck:20:2\) and q \(puck:20:2\) and a \(leatherback:20:2\) cannot"):
+        three.side_orders(P, Q, A)
+
+
+def test_snapshots_of_unlike_rosters_take_the_teams_that_they_fit(three, monkeypatch):
+    own = three.arena.teams
+    tank = replace(own[2], agents=own[2].agents * 2)
+    monkeypatch.setattr(three.arena, "teams", (own[0], tank, own[2]))
+    big = replace(R, roster=tank.roster)
+    assert three.side_orders(P, Q, big) == ((Q, big, P),) * 3
+
+
+def test_each_seating_is_a_row_of_its_own_with_the_ranks_of_its_teams(three, tmp_path):
+    score = np.zeros((12, 3))
+    score[:6] = [[-1, -2, -3], [0, 0, -9], [-3, -1, -2], [-5, -5, -5], [-2, -7, -2], [-1, -2, -3]]
+    void, at_fault = np.zeros(12, bool), np.zeros((12, 3), bool)
+    void[[2, 5]], at_fault[2, 1], at_fault[5, :2] = True, True, True
+    played = PlayedEpisodes(
+        score=score, void=void, at_fault=at_fault, decisions=np.arange(12), frames=(), actions={},
+        reward=np.zeros(0), running=np.zeros(0),
+    )  # fmt: skip
+    seating = [*three.side_orders(P, Q, R), *three.side_orders(P, Q, R)]
+    task = RatingMatch((("p", "q", "r"),), 5, due=7.0)
+    with Store.open(tmp_path / "store", create=True) as store:
+        rows = three.ranked_matches(store, played, 0, seating, task)
+    assert [row.snapshots for row in rows] == [("p", "q", "r"), ("q", "r", "p"), ("r", "p", "q")]
+    assert [row.rankings for row in rows] == [{(1, 2, 3): 1, (1, 1, 3): 1}, {(1, 1, 1): 1}, {(1, 3, 1): 1}]
+    assert [(row.voids, row.voids_by_team) for row in rows] == [(0, (0, 0, 0)), (1, (0, 1, 0)), (1, (0, 0, 0))]
+    assert [(row.steps, row.seed, row.due) for row in rows] == [(1, 5, 7.0), (5, 5, 7.0), (9, 5, 7.0)]
+
+
+def test_scripts_of_three_teams_play_and_the_better_one_is_ahead(three, tmp_path):
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", three.arena, ("idle", "chaser", "tagger"))
+        matches = three.play(store, RatingMatch((("tagger", "idle", "chaser"),), 3))
+    assert len(matches) == 6  # a single lineup fills both places, in three rotations each
+    assert sum(match.episodes for match in matches) == 12
+    wins, draws, losses = np.sum([results_of(match, "tagger") for match in matches], axis=0)
+    assert wins + draws + losses == 24
+    assert wins > losses

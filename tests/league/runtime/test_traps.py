@@ -56,6 +56,6 @@ def test_two_that_meet_again_play_other_games():
     for _ in range(3):
         (job,) = match_scheduler.next_matches(training(), state).jobs
         seeds.add(decode(job).seed)
-        played += [match(*pair, 8, 8) for pair in decode(job).pairs]
+        played += [match(*pair, 8, 8) for pair in decode(job).lineups]
         state = replace(state, ladder=state.ladder.extended(played[-4:], [s.name for s in state.snapshots]))
     assert len(seeds) == 3

@@ -149,7 +149,7 @@ def test_each_match_worker_gets_a_batch_of_its_own(workers):
     state = league_state(checkpoints=checkpoints(64), snapshots=snapshots(0, 1, 2, 4, 8, 16, 32, 64))
     jobs = match_scheduler.next_matches(config, state).jobs
     assert len({job.key for job in jobs}) == workers
-    pairs = [tuple(sorted(pair)) for job in jobs for pair in decode(job).pairs]
+    pairs = [tuple(sorted(pair)) for job in jobs for pair in decode(job).lineups]
     assert len(set(pairs)) == len(pairs) == workers * RATING["cpu"].pairings
 
 
@@ -157,16 +157,16 @@ def test_the_pairs_of_a_batch_set_aside_are_tried_alone_and_what_fails_alone_is_
     config = training()
     state = league_state(checkpoints=checkpoints(4), snapshots=snapshots(0, 1, 2, 4))
     (batch,) = match_scheduler.next_matches(config, state).jobs
-    pairs = decode(batch).pairs
+    pairs = decode(batch).lineups
     state = replace(state, jobs=(replace(batch, state="failed"),))
     alone = match_scheduler.next_matches(config, state).jobs
-    assert [decode(job).pairs for job in alone] == [(pair,) for pair in pairs]
+    assert [decode(job).lineups for job in alone] == [(pair,) for pair in pairs]
     bad, *good = alone
-    played = [match(*decode(job).pairs[0]) for job in good]
+    played = [match(*decode(job).lineups[0]) for job in good]
     after = replace(with_matches(state, played), jobs=(*state.jobs, replace(bad, state="failed")))
     again = pairs_of(match_scheduler.next_matches(config, after))
     assert again
-    assert decode(bad).pairs[0] not in again
+    assert decode(bad).lineups[0] not in again
 
 
 def test_the_key_of_a_batch_follows_what_was_played_and_not_how_many_rows_there_are():
@@ -177,7 +177,7 @@ def test_the_key_of_a_batch_follows_what_was_played_and_not_how_many_rows_there_
         match_scheduler.next_matches(config, replace(state, jobs=(replace(first, state="done"),))).jobs[0].key
         == first.key
     )
-    later = with_matches(state, [match(a, b) for a, b in decode(first).pairs])
+    later = with_matches(state, [match(a, b) for a, b in decode(first).lineups])
     assert match_scheduler.next_matches(config, later).jobs[0].key != first.key
 
 

@@ -9,7 +9,7 @@ from league.snapshots.codec import add_scripts
 from league.state.jobs import TrainingTurn
 from league.training.matchups import Matchups
 from storage.errors import StorageError
-from storage.records import League
+from storage.records import League, Player
 from storage.store import Store
 
 PRESENT = 4  # the number of a script that stands for the present players: told from any past one by it
@@ -89,3 +89,20 @@ def test_a_group_without_a_player_in_some_team_needs_past_ones_there(store, aren
     assert matchups(store, arena, alone, present=0).groups == 1
     with pytest.raises(StorageError, match="nobody to play against"):
         matchups(store, arena, turn(("blue",), {"blue": ()}, ("blue", "")))
+
+
+def test_games_of_three_teams_are_counted_against_each_opponent_in_its_seat(tmp_path):
+    arena = presets.tag().arena.build(engine="c", threads=1)
+    three = ("blue", "red", "green")
+    past = {"blue": (("", "idle", "tagger"), ("", "tagger", "tagger"))}
+    with Store.open(tmp_path / "store", create=True) as store:
+        store.create_league(League("tiny", ""))
+        add_scripts(store, "tiny", arena, ("idle", "tagger"))
+        made = matchups(store, arena, turn(("blue",), past, three), present=1, worlds=9)
+    assert made.assigned == [three, ("blue", "idle", "tagger"), ("blue", "tagger", "tagger")]
+    results = np.zeros((3, 3, 4))  # groups, teams, and won, drawn, lost, void
+    results[:, 1, 0], results[:, 2, 2] = (1, 2, 4), (8, 16, 32)
+    found = made.meetings(Player("tiny", "blue", 0, "main", "puck"), 5, results)
+    assert [(m.opponent, m.wins, m.losses) for m in found] == [
+        ("green", 0, 8), ("idle", 2, 0), ("red", 1, 0), ("tagger", 4, 16 + 32),
+    ]  # fmt: skip

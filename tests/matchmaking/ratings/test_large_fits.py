@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from matchmaking import match_selection
-from matchmaking.ratings import covariance, davidson, information
 from matchmaking.ratings.fit import Ratings, fit
 from matchmaking.ratings.ladder import Ladder, Pool
+from matchmaking.ratings.likelihoods import covariance, information, penalised
 from matchmaking.ratings.payoff import sum_matches
 from matchmaking.ratings.undefeated import Unbounded
 from tests.matchmaking.conftest import make_match
@@ -32,7 +32,7 @@ def league(size: int, others: int, seed: int = 0) -> tuple[Pool, list]:
 @pytest.fixture
 def sparse(monkeypatch):
     """No fit is small enough for tables of all pairs."""
-    for module, name in ((davidson, "MAX_DENSE_FIT"), (information, "MAX_DENSE"), (covariance, "MAX_DENSE")):
+    for module, name in ((penalised, "MAX_DENSE_FIT"), (information, "MAX_DENSE"), (covariance, "MAX_DENSE")):
         monkeypatch.setattr(module, name, -1)
 
 
@@ -42,7 +42,7 @@ def both() -> tuple[Ratings, Ratings]:
     with pytest.MonkeyPatch.context() as patch:
         found = []
         for few, many in ((10**9, 10**9), (-1, -1)):
-            patch.setattr(davidson, "MAX_DENSE_FIT", few)
+            patch.setattr(penalised, "MAX_DENSE_FIT", few)
             patch.setattr(information, "MAX_DENSE", many)
             patch.setattr(covariance, "MAX_DENSE", many)
             ratings = Ladder(*league(400, 2)).ratings
@@ -98,7 +98,7 @@ def test_errors_within_populations_are_estimated_too(monkeypatch):
     pool = Pool(pool.names, pool.names[:2], {}, kinds)
     dense = Ladder(pool, log).ratings
     expected, population_offset = dense.stderr, dense.population_offset("even", "odd")
-    for module, name in ((davidson, "MAX_DENSE_FIT"), (information, "MAX_DENSE"), (covariance, "MAX_DENSE")):
+    for module, name in ((penalised, "MAX_DENSE_FIT"), (information, "MAX_DENSE"), (covariance, "MAX_DENSE")):
         monkeypatch.setattr(module, name, -1)
     found = Ladder(pool, log).ratings
     assert found.stderr[2:] == pytest.approx(expected[2:], rel=0.15)

@@ -176,6 +176,7 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
                 db.execute(sa.text(f"ALTER TABLE matches DROP COLUMN {column}"))
             db.execute(sa.text("DROP TABLE meetings"))
             db.execute(sa.text("DROP TABLE dropped"))
+            db.execute(sa.text("DROP TABLE ranked_matches"))
             db.execute(sa.text("ALTER TABLE snapshots DROP COLUMN thinned"))
             db.execute(sa.text("DROP INDEX jobs_to_claim"))
             db.execute(sa.text("CREATE INDEX jobs_to_claim ON jobs (league, state, priority)"))
@@ -192,6 +193,7 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
         assert store.booked("cup") == (1.5, 7.25)
         assert {m.causes for m in store.matches("cup")} == {0}
         assert store.meetings("cup") == []
+        assert store.ranked_matches("cup") == []
         assert {s.thinned for s in store.snapshots("cup")} == {None}
         indexes = {index["name"]: index["column_names"] for index in sa.inspect(store._db.engine).get_indexes("jobs")}
         assert indexes["jobs_to_claim"] == ["league", "state", "kind", "priority", "id"]

@@ -1,7 +1,8 @@
 """The information matrix of a fit of many snapshots, stored as the pairs that met, and linear systems with it.
 
 A table of all pairs of 10,000 snapshots takes 800 MB and minutes to invert, though each has met only some ten others.
-Below P is the number of snapshots, S the number of pairs with a weight, K the number of right-hand sides.
+Below P is the number of snapshots, S the number of pairs with a weight, T the number of shared parameters (the side
+advantage and the logarithms of the tie terms), K the number of right-hand sides.
 """
 
 from collections.abc import Callable
@@ -99,7 +100,7 @@ class PairGraph:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Symmetric matrix over P strengths and two shared parameters, the side advantage γ and log ν.
+    """Symmetric matrix over P strengths and T shared parameters.
 
     The part of the strengths is the Laplacian of the weights, plus a diagonal, plus a constant in every entry.
     """
@@ -107,13 +108,13 @@ class Information:
     graph: PairGraph
     weight: np.ndarray  # (S,)
     own: np.ndarray  # (P,) added to the diagonal
-    shared_terms: np.ndarray  # (S, 2) of a pair's first with the shared parameters; its second has the opposite
-    shared_block: np.ndarray  # (2, 2) of the shared parameters
+    shared_terms: np.ndarray  # (S, T) of a pair's first with the shared parameters; its second has the opposite
+    shared_block: np.ndarray  # (T, T) of the shared parameters
     constant: float = 0.0
 
     @cached_property
     def border(self) -> np.ndarray:
-        """Block (P, 2) between strengths and shared parameters."""
+        """Block (P, T) between strengths and shared parameters."""
         return self.graph.signed_sums(self.shared_terms)
 
     @cached_property
@@ -123,9 +124,10 @@ class Information:
         return self.own + np.bincount(of.first, self.weight, of.size) + np.bincount(of.second, self.weight, of.size)
 
     def times(self, x: np.ndarray) -> np.ndarray:
-        """Return the product (P + 2, K) with x (P + 2, K)."""
-        top = self.of_strengths(x[:-2]) + self.border @ x[-2:]
-        return np.concatenate([top, self.border.T @ x[:-2] + self.shared_block @ x[-2:]])
+        """Return the product (P + T, K) with x (P + T, K)."""
+        strengths, shared = x[: self.graph.size], x[self.graph.size :]
+        top = self.of_strengths(strengths) + self.border @ shared
+        return np.concatenate([top, self.border.T @ strengths + self.shared_block @ shared])
 
     def of_strengths(self, x: np.ndarray) -> np.ndarray:
         """Return the product (P, K) of the strengths' part with x (P, K)."""
@@ -155,32 +157,34 @@ class Information:
         return sparse.csr_array((self.weight[pair], column, ends), shape=(self.graph.size,) * 2)
 
     def draws(self, rng: np.random.Generator, number: int) -> np.ndarray:
-        """Return samples (P + 2, number) of a normal distribution of mean 0 and this covariance without `constant`."""
+        """Return samples (P + T, number) of a normal distribution of mean 0 and this covariance without `constant`."""
         pairs = _normal(rng, len(self.weight), number)
-        size = np.sqrt(self.weight)[:, None]
+        size = np.sqrt(np.maximum(self.weight, 0))[:, None]  # ties of three and more can make a small one negative
         slope = self.shared_terms / np.maximum(size, 1e-150)
         strengths = self.graph.signed_sums(size * pairs) + np.sqrt(self.own)[:, None] * _normal(
             rng, len(self.own), number
         )
         values, vectors = np.linalg.eigh(self.shared_block - slope.T @ slope)  # remainder after the pairs
         rest = vectors * np.sqrt(np.maximum(values, 0))
-        return np.concatenate([strengths, slope.T @ pairs + rest @ _normal(rng, 2, number)])
+        return np.concatenate([strengths, slope.T @ pairs + rest @ _normal(rng, len(values), number)])
 
     def solver(self, close: float = CLOSE) -> Callable[[np.ndarray], np.ndarray]:
-        """Return a solver of systems with this matrix, for right-hand sides (P + 2, K).
+        """Return a solver of systems with this matrix, for right-hand sides (P + T, K).
 
         The solver raises SolverNotConverged.
         """
-        solve = self._strengths_solver(close)
+        solve, P = self._strengths_solver(close), self.graph.size
         found: list[np.ndarray] = []  # the solved border, computed with the first right-hand sides
 
         def solved(right: np.ndarray) -> np.ndarray:
-            top = solve(right[:-2] if found else np.concatenate([right[:-2], self.border], 1))
+            columns = right.shape[1]
+            top = solve(right[:P] if found else np.concatenate([right[:P], self.border], 1))
             if not found:
-                found.extend([top[:, -2:], np.linalg.inv(self.shared_block - self.border.T @ top[:, -2:])])
-                top = top[:, :-2]
+                through = top[:, columns:]
+                found.extend([through, np.linalg.inv(self.shared_block - self.border.T @ through)])
+                top = top[:, :columns]
             through, left = found
-            shared = left @ (right[-2:] - self.border.T @ top)
+            shared = left @ (right[P:] - self.border.T @ top)
             return np.concatenate([top - through @ shared, shared])
 
         return solved

@@ -3,7 +3,8 @@
 The covariance is the sandwich H⁻¹ B H⁻¹ (Huber 1967, White 1982), with H the information and B the information in which
 each pair's games are multiplied by their dispersion. For up to `information.MAX_DENSE` snapshots all of it is computed.
 For more, a single row is computed exactly, and the variances of all are estimated from random draws. Below P is the
-number of snapshots, D the number of (home, away) pairs, G the number of populations.
+number of snapshots, D the number of (home, away) pairs, T the number of shared parameters (the side advantage γ, log ν
+and the logarithms of the other tie terms), G the number of populations.
 """
 
 from functools import cached_property
@@ -11,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from matchmaking.ratings.davidson import Likelihood, Outcome
-from matchmaking.ratings.information import MAX_DENSE, Information
+from matchmaking.ratings.likelihoods.information import MAX_DENSE, Information
+from matchmaking.ratings.likelihoods.penalised import PenalisedLikelihood
 
 DRAWS = 128
 BATCH = 32
@@ -23,14 +24,16 @@ WIDE = 20_000_000
 
 
 class StrengthCovariance:
-    """Covariances, in (log odds)⁻², of P strengths minus their anchors' mean, of the side advantage γ and of log ν."""
+    """Covariances, in (log odds)⁻², of P strengths minus their anchors' mean, and of T shared parameters."""
 
-    def __init__(self, problem: Likelihood, x: np.ndarray, terms: Outcome, dispersion: np.ndarray, anchor: np.ndarray):
+    def __init__(
+        self, problem: PenalisedLikelihood, x: np.ndarray, terms: Any, dispersion: np.ndarray, anchor: np.ndarray
+    ):
         """Prepare for a fit; nothing is computed yet.
 
         Args:
             problem: the likelihood that was fitted.
-            x: (P + 2,) position of its maximum.
+            x: (P + T,) position of its maximum.
             terms: the model there.
             dispersion: (D,) of each pair's games.
             anchor: (P,) weights of the anchors, whose sum is 1.
@@ -41,17 +44,17 @@ class StrengthCovariance:
     def row(self, i: int) -> np.ndarray:
         """Return covariances (P,) of i's strength with all strengths."""
         if self._is_small:
-            return self.whole[i, :-2]
-        contrast = np.append(-self._anchor, [0.0, 0.0])
+            return self.whole[i, : len(self._anchor)]
+        contrast = self._padded(-self._anchor)
         contrast[i] += 1
-        return self._times(contrast)[:-2]
+        return self._times(contrast)[: len(self._anchor)]
 
     def block(self, places: np.ndarray) -> np.ndarray:
         """Return covariances (K, K) of some strengths with each other, by their indices (K,)."""
         if self._is_small:
             return self.whole[np.ix_(places, places)]
         contrasts = np.zeros((len(self._x), len(places)))
-        contrasts[:-2] -= self._anchor[:, None]
+        contrasts[: len(self._anchor)] -= self._anchor[:, None]
         contrasts[places, np.arange(len(places))] += 1
         solve = self.information.solver(BLOCK)
         influence = np.concatenate([solve(some) for some in _some(contrasts)], 1)
@@ -60,21 +63,22 @@ class StrengthCovariance:
 
     def side(self) -> float:
         """Return the variance of the side advantage γ."""
+        place = len(self._anchor)
         unit = np.zeros(len(self._x))
-        unit[-2] = 1
-        return float(self.whole[-2, -2] if self._is_small else self._times(unit, ungauged=True)[-2])
+        unit[place] = 1
+        return float(self.whole[place, place] if self._is_small else self._times(unit, ungauged=True)[place])
 
     def of_sum(self, weights: np.ndarray) -> float:
         """Return the variance of a weighted sum of strengths; the weights (P,) sum to 0."""
         if self._is_small:
-            found = weights @ self.whole[:-2, :-2] @ weights
+            found = weights @ self.whole[: len(weights), : len(weights)] @ weights
         else:
-            found = weights @ self._times(np.append(weights, [0.0, 0.0]))[:-2]
+            found = weights @ self._times(self._padded(weights))[: len(weights)]
         return max(float(found), 0.0)
 
     @cached_property
     def whole(self) -> np.ndarray:
-        """Full covariance (P + 2, P + 2); for 10,000 snapshots that takes minutes and several GB."""
+        """Full covariance (P + T, P + T); for 10,000 snapshots that takes minutes and several GB."""
         contrasts, influence, dispersed_information = self._influence
         return (contrasts if dispersed_information is influence else influence).T @ dispersed_information
 
@@ -89,9 +93,10 @@ class StrengthCovariance:
             return np.maximum(_SampledVariances(self, weights).variances(population), 0)
         contrasts, influence, dispersed_information = self._influence
         left = contrasts if dispersed_information is influence else influence
-        own = np.einsum("ki,ki->i", left, dispersed_information)[:-2]
+        P = len(population)
+        own = np.einsum("ki,ki->i", left, dispersed_information)[:P]
         if len(weights) > 1:
-            blurred = (left.T @ (dispersed_information[:, :-2] @ weights.T))[:-2]  # (P, G)
+            blurred = (left.T @ (dispersed_information[:, :P] @ weights.T))[:P]  # (P, G)
             shared = blurred[np.arange(len(population)), population]
             own = own - 2 * shared + (weights @ blurred).diagonal()[population]
         return np.maximum(own, 0)
@@ -102,10 +107,11 @@ class StrengthCovariance:
 
     @cached_property
     def _influence(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Contrasts gᵀ, H⁻¹ gᵀ and B H⁻¹ gᵀ, or H⁻¹ gᵀ once more if B is H; each (P + 2, P + 2)."""
+        """Contrasts gᵀ, H⁻¹ gᵀ and B H⁻¹ gᵀ, or H⁻¹ gᵀ once more if B is H; each (P + T, P + T)."""
         problem, x, terms = self._problem, self._x, self._terms
         contrasts = np.eye(len(x))
-        contrasts[:-2, :-2] -= self._anchor[:, None]
+        P = len(self._anchor)
+        contrasts[:P, :P] -= self._anchor[:, None]
         influence = np.linalg.solve(problem.information(x, terms) + problem.location, contrasts)
         if (self._dispersion == 1).all():
             return contrasts, influence, influence
@@ -129,12 +135,17 @@ class StrengthCovariance:
         return self.information.solver()
 
     def _times(self, contrast: np.ndarray, ungauged: bool = False) -> np.ndarray:
-        """Return the covariances (P + 2,) with a contrast (P + 2,) of the parameters."""
+        """Return the covariances (P + T,) with a contrast (P + T,) of the parameters."""
         influence = self.solve(contrast[:, None])
         found = self.solve(self.dispersed_information.times(influence))[:, 0]
         if not ungauged:
-            found[:-2] -= self._anchor @ found[:-2]
+            P = len(self._anchor)
+            found[:P] -= self._anchor @ found[:P]
         return found
+
+    def _padded(self, strengths: np.ndarray) -> np.ndarray:
+        """Return a contrast (P + T,) of strengths alone."""
+        return np.append(strengths, np.zeros(len(self._x) - len(strengths)))
 
 
 def _some(columns: np.ndarray) -> list[np.ndarray]:
@@ -187,8 +198,8 @@ class _SampledVariances:
         solve = self._covariance.information.solver(CLOSE)
         for _ in range(DRAWS // BATCH):
             noise = self._covariance.dispersed_information.draws(rng, BATCH)
-            found = self._gauged(solve(noise)[:-2], population)
-            nearly = self._gauged(self._times(noise[:-2]), population)
+            found = self._gauged(solve(noise)[: len(population)], population)
+            nearly = self._gauged(self._times(noise[: len(population)]), population)
             both += np.einsum("ik,ik->i", found, nearly)
             square += np.einsum("ik,ik->i", nearly, nearly)
             rest += np.einsum("ik,ik->i", found, found)

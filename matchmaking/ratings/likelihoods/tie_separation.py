@@ -1,0 +1,113 @@
+"""Tie terms of Plackett and Luce's model without a finite maximum-likelihood value, given the rankings alone.
+
+As in `matchmaking.ratings.separation` there is no maximum where a direction exists in which no observed choice becomes
+less likely and one becomes more likely. A direction changes strengths by u and log δ_k by λ_k, with λ_1 = 0. Choosing
+T from A requires
+
+    mean of u over T + λ_|T|  >=  mean of u over S + λ_|S|    for all groups S of A of the sizes that occur.
+
+With λ = 0 these are Ford's conditions on pairs, which `separation` decides exactly. No λ_k can be negative: a tie of k
+must not become less likely than its best member alone. Whoever was once ahead of another has u at least as large, also
+where λ changes. So where a single best was chosen from among k players that were ahead of each other along chains, λ_k
+is 0. Where this does not decide, a linear programme does, to which the violated conditions are added until there are
+none. It is solved in floating-point numbers.
+"""
+
+import numpy as np
+
+from matchmaking import graph_algorithms
+from matchmaking.ratings.rankings import Rankings, chunks, tied
+
+ZERO = 1e-7
+"""Largest change, of 1 possible, that counts as none."""
+ROUNDS = 60
+
+
+def tie_direction(rankings: Rankings, size: int) -> np.ndarray | None:
+    """Return the change (P,) of strengths along which some tie term has no bound; None if all have one."""
+    orders = rankings.tie_orders().tolist()
+    first, second, games = rankings.pairs(size)
+    ahead, behind = games[:, 0] > 0, games[:, 2] > 0
+    source, target = np.append(first[ahead], second[behind]), np.append(second[ahead], first[behind])
+    chains = graph_algorithms.strong_components(size, source, target)
+    if set(orders) <= _bounded(rankings, chains, orders):
+        return None
+    return _Programme(rankings, size, [1, *orders], source, target).direction()
+
+
+def _bounded(rankings: Rankings, chains: np.ndarray, orders: list[int]) -> set[int]:
+    """Return the orders k for which a single best was chosen among k players of equal u."""
+    most = 0
+    for players, ranks, _ in rankings.blocks:
+        n, single = ranks.shape[1], tied(ranks) == 1
+        for rows in chunks(len(players), n * n):
+            own = chains[players[rows]]
+            equals = ((own[:, :, None] == own[:, None, :]) & np.triu(np.ones((n, n), bool))).sum(2)
+            most = max(most, int(np.where(single[rows], equals, 0).max(initial=0)))
+    return {k for k in orders if k <= most}
+
+
+class _Programme:
+    """Linear programme over u (P) and λ (K), all at most 1 in size: the largest sum of λ."""
+
+    def __init__(self, rankings: Rankings, size: int, orders: list[int], source: np.ndarray, target: np.ndarray):
+        self._rankings, self._size, self._orders = rankings, size, orders
+        rows = np.arange(len(source))
+        one = np.ones(len(source))
+        self._entries = [(np.append(rows, rows), np.append(source, target), np.append(-one, one))]
+        self._count = len(source)
+
+    def direction(self) -> np.ndarray | None:
+        """Return u at the maximum; None if that is 0. Raises ArithmeticError where the programme cannot be solved."""
+        from scipy import sparse  # takes a tenth of a second
+        from scipy.optimize import linprog
+
+        P, K = self._size, len(self._orders) - 1
+        for _ in range(ROUNDS):
+            row, column, value = (np.concatenate(part) for part in zip(*self._entries, strict=True))
+            below = sparse.csr_array((value, (row, column)), (self._count, P + K)) if self._count else None
+            bounds = [(-1.0, 1.0)] * P + [(0.0, 1.0)] * K
+            found = linprog(
+                -np.append(np.zeros(P), np.ones(K)),
+                below,
+                np.zeros(self._count) if self._count else None,
+                bounds=bounds,
+            )
+            if found.x is None:
+                raise ArithmeticError(f"the linear programme of the tie terms was not solved: {found.message}")
+            if -found.fun < ZERO:
+                return None
+            if not self._add_violated(found.x):
+                return found.x[:P]
+        raise ArithmeticError(f"the linear programme of the tie terms was not solved in {ROUNDS} rounds")
+
+    def _add_violated(self, x: np.ndarray) -> bool:
+        """Add the condition of every choice and size that x violates; return whether there was one."""
+        before, log = self._count, np.append(0.0, x[self._size :])
+        for players, ranks, _ in self._rankings.blocks:
+            u, groups = x[players], tied(ranks)
+            for i in range(ranks.shape[1] - 1):
+                for m in np.unique(groups[ranks[:, i] - 1 == i, i]).tolist():
+                    at = np.flatnonzero((ranks[:, i] - 1 == i) & (groups[:, i] == m))
+                    own = u[at, i : i + m].mean(1) + log[self._orders.index(m)]
+                    order = np.argsort(-u[at, i:], 1, kind="stable")
+                    best = np.cumsum(np.take_along_axis(u[at, i:], order, 1), 1)
+                    for place, k in enumerate(self._orders):
+                        if k > best.shape[1]:
+                            continue
+                        worse = np.flatnonzero(best[:, k - 1] / k + log[place] > own + ZERO / 10)
+                        chosen, group = players[at[worse], i : i + m], order[worse][:, :k]
+                        others = np.take_along_axis(players[at[worse], i:], group, 1)
+                        self._add(chosen, self._orders.index(m), others, place)
+        return self._count > before
+
+    def _add(self, chosen: np.ndarray, m: int, others: np.ndarray, k: int) -> None:
+        """Add rows: the group `others` (rows, k) is no better than the one `chosen`; m and k are places of orders."""
+        parts = [(others, 1 / max(others.shape[1], 1)), (chosen, -1 / max(chosen.shape[1], 1))]
+        parts += [
+            (np.full((len(chosen), 1), self._size + place - 1), sign) for place, sign in ((k, 1.0), (m, -1.0)) if place
+        ]
+        for columns, value in parts:
+            row = np.repeat(np.arange(self._count, self._count + len(columns)), columns.shape[1])
+            self._entries.append((row, columns.ravel(), np.full(columns.size, value)))
+        self._count += len(chosen)

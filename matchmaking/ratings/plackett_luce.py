@@ -1,0 +1,129 @@
+"""Plackett and Luce's model of rankings with ties: its likelihood, which for two players is Davidson's.
+
+For two players the choice of the best is exp(d/2) : δ_2 : exp(-d/2), so ν = δ_2 (Turner, van Etten, Firth and Kosmidis
+2020). Rankings have no sides: γ stays 0.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from matchmaking.ratings.likelihoods.choice_sets import ChoiceSets, Values
+from matchmaking.ratings.likelihoods.penalised import Moments, PenalisedLikelihood
+from matchmaking.ratings.priors import Prior
+from matchmaking.ratings.rankings import Rankings, chunks
+
+MAX_TABLE = 4_000_000
+"""Maximum number P² of pairs that are looked up in a table; above, they are sorted."""
+
+
+@dataclass(eq=False)
+class RankingTerms:
+    """The model at some parameters; derivatives are computed when they are first asked for."""
+
+    values: Sequence[Values]
+    slope: np.ndarray | None = field(default=None)
+    moments: Moments | None = field(default=None)
+
+
+class PlackettLuce(PenalisedLikelihood):
+    """Penalised likelihood of rankings of P players.
+
+    The parameters are θ (P), γ = 0, log δ_2, and log δ_k of every larger number k of players that were once tied.
+    δ_2 is fitted only if two players were tied.
+    """
+
+    def __init__(self, rankings: Rankings, size: int, prior: Prior):
+        self.size, self.prior = size, prior
+        seen = rankings.tie_orders().tolist()
+        self.orders = (2, *(k for k in seen if k > 2))
+        self.free = np.append(np.ones(size, bool), [False, 2 in seen, *[True] * (len(self.orders) - 1)])
+        self._fitted = [place for place, k in enumerate(self.orders) if k in seen]
+        self._sets = [ChoiceSets(block, (1, *seen)) for block in rankings.blocks]
+        self._numbers = [block.number for block in rankings.blocks]
+        met, self._places = self._pairs_that_met()
+        self.home, self.away = np.divmod(met, max(size, 1))
+
+    @property
+    def even(self) -> np.ndarray:
+        """Even is a tie of all k players that is as likely as a single best one, if they are equals: δ_k = k."""
+        return np.array([0.0, *map(math.log, self.orders)])
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Numbers (D,) of games in which each pair met."""
+        return self._weights
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        found = np.zeros(len(self.home))
+        for of, number in zip(self._places, self._numbers, strict=True):
+            found += np.bincount(of.ravel(), np.broadcast_to(number[:, None], of.shape).ravel(), len(found))
+        return found
+
+    def ties(self, x: np.ndarray) -> dict[int, float]:
+        """Return δ_k of every number k of players that were once tied."""
+        return {self.orders[place]: math.exp(x[self.size + 1 + place]) for place in self._fitted}
+
+    def terms(self, x: np.ndarray) -> RankingTerms:
+        """Return the model at parameters (P + T,)."""
+        P = self.size
+        log_delta = np.append(0.0, x[P + 1 :][self._fitted])
+        return RankingTerms([each.evaluate(x[:P], log_delta) for each in self._sets])
+
+    def of_games(self, terms: RankingTerms) -> float:
+        """Return the log-likelihood of the rankings alone."""
+        return float(sum(each.log_likelihood for each in terms.values))
+
+    def slope(self, terms: RankingTerms) -> np.ndarray:
+        """Return the derivative (P + T,) of the log-likelihood."""
+        self._derive(terms)
+        assert terms.slope is not None
+        return terms.slope.copy()
+
+    def moments(self, terms: RankingTerms, dispersion: np.ndarray | None) -> Moments:
+        """Return the information of the rankings; dispersion is None or 1, since rankings have no clusters yet."""
+        self._derive(terms)
+        assert terms.moments is not None
+        return terms.moments
+
+    def _derive(self, terms: RankingTerms) -> None:
+        if terms.slope is not None:
+            return
+        P, D, T = self.size, len(self.home), len(self.orders) + 1
+        tied = [1 + place for place in self._fitted]  # of the shared parameters
+        slope, strength = np.zeros(P + T), np.zeros(D)
+        shared, block = np.zeros((T, D)), np.zeros((T, T))
+        for each, values, places in zip(self._sets, terms.values, self._places, strict=True):
+            flip = np.where(each.players[:, each.ahead] < each.players[:, each.behind], 1.0, -1.0) if tied else None
+            slope[[P + place for place in tied]] += each.ties
+            for rows in chunks(len(each.players), each.n**2 * len(each.orders)):
+                found, place = each.derive(values, rows), places[rows].ravel()
+                slope[:P] += np.bincount(each.players[rows].ravel(), found.residual.ravel(), P)
+                strength += np.bincount(place, found.pairs.ravel(), D)
+                for number, column in enumerate(tied):
+                    assert flip is not None
+                    shared[column] += np.bincount(place, (flip[rows] * found.flows[:, :, number]).ravel(), D)
+                slope[[P + place for place in tied]] -= found.ties
+                block[np.ix_(tied, tied)] += found.tie_covariance
+        terms.slope, terms.moments = slope, Moments(strength, shared.T, block)
+
+    def _pairs_that_met(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the pairs that met as ascending numbers (D,), and the place (R, C) in it of each pair of positions."""
+        P, keys = self.size, []
+        for each in self._sets:
+            a, b = each.players[:, each.ahead], each.players[:, each.behind]
+            keys.append(np.minimum(a, b) * P + np.maximum(a, b))
+        if P * P > MAX_TABLE:
+            found = np.unique(np.concatenate([np.unique(key) for key in keys])) if keys else np.zeros(0, int)
+            return found, [np.searchsorted(found, key).astype(np.int32) for key in keys]
+        seen = np.zeros(P * P, bool)
+        for key in keys:
+            seen[key] = True
+        found = np.flatnonzero(seen)
+        place = np.zeros(P * P, np.int32)
+        place[found] = np.arange(len(found))
+        return found, [place[key] for key in keys]

@@ -1,0 +1,177 @@
+"""Rankings of games of several teams, as arrays: what Plackett and Luce's model is fitted to, and their pairs.
+
+Below P is the number of players, R the number of different rankings of n players each.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from storage.records import LineupTotals, RankedMatch
+
+
+class Block(NamedTuple):
+    """Rankings of n players each."""
+
+    players: np.ndarray  # (R, n) int: indices of players, from best to worst; tied players by index
+    ranks: np.ndarray  # (R, n) int: standard competition ranks from 1, not decreasing along a row
+    number: np.ndarray  # (R,) int: how often each occurred
+
+
+@dataclass(frozen=True, eq=False)
+class Rankings:
+    """Different rankings and their numbers, by number of players. They do not depend on the order of games."""
+
+    blocks: tuple[Block, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.blocks)
+
+    @classmethod
+    def of(cls, lineups: Mapping[tuple[str, ...], LineupTotals], place: Mapping[str | None, int]) -> "Rankings":
+        """Return the rankings of lineups; `place` has the index of each snapshot."""
+        rows: dict[int, list[tuple[list[int], tuple[int, ...], int]]] = {}
+        for snapshots, totals in lineups.items():
+            players = [place[name] for name in snapshots]
+            for ranks, number in totals.rankings.items():
+                if number and len(set(players)) > 1:  # a snapshot against itself alone says nothing of strength
+                    rows.setdefault(len(players), []).append((players, ranks, number))
+        return cls._merged([_sorted(*map(np.array, zip(*some, strict=True))) for some in rows.values()])
+
+    @classmethod
+    def of_events(cls, event: np.ndarray, player: np.ndarray, place: np.ndarray) -> "Rankings":
+        """Return the rankings of events.
+
+        Args:
+            event: (M,) int, from 0 on without gaps.
+            player: (M,) int index of the player in that row.
+            place: (M,) float, smaller for better; equal places of an event are a tie.
+        """
+        order = np.lexsort((player, place, event))
+        event, player, place = event[order], player[order], place[order]
+        size = np.bincount(event)
+        first = np.cumsum(size) - size
+        position = np.arange(len(event)) - first[event]
+        new = np.append(True, (place[1:] != place[:-1]) | (event[1:] != event[:-1]))[: len(event)]
+        rank = position[np.maximum.accumulate(np.where(new, np.arange(len(event)), 0))] + 1
+        blocks = []
+        for n in np.unique(size).tolist():
+            own = np.flatnonzero(size[event] == n)
+            shape = (-1, n)
+            blocks.append(Block(player[own].reshape(shape), rank[own].reshape(shape), np.ones(len(own) // n, int)))
+        return cls._merged(blocks)
+
+    def renumbered(self, now: np.ndarray) -> "Rankings":
+        """Return the rankings with player i as player `now[i]`."""
+        return Rankings._merged([_sorted(now[each.players], each.ranks, each.number) for each in self.blocks])
+
+    def plus(self, other: "Rankings") -> "Rankings":
+        """Return these and other rankings of the same players."""
+        return Rankings._merged([*self.blocks, *other.blocks]) if other and self else (self or other)
+
+    def episodes(self, size: int) -> np.ndarray:
+        """Return the number (P,) of games of each player."""
+        found = np.zeros(size, int)
+        for players, _, count in self.blocks:
+            np.add.at(found, players, count[:, None])
+        return found
+
+    def tie_orders(self) -> np.ndarray:
+        """Return the numbers of players that were tied with each other, ascending, as far as they occurred."""
+        found = {int(m) for each in self.blocks for m in np.unique(tied(each.ranks))}
+        return np.array(sorted(found - {1}), int)
+
+    def pairs(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the pairs that met: first (E,), second (E,) with the larger index, and wins, draws, losses (E, 3)."""
+        keys, counts = [], []
+        for players, ranks, count in self.blocks:
+            ahead, behind = np.triu_indices(players.shape[1], 1)
+            for rows in chunks(len(players), len(ahead)):
+                a, b = players[rows][:, ahead], players[rows][:, behind]
+                drawn = ranks[rows][:, ahead] == ranks[rows][:, behind]
+                outcome = np.where(drawn, 1, np.where(a < b, 0, 2))
+                key = (np.minimum(a, b) * size + np.maximum(a, b)) * 3 + outcome
+                found, inverse = np.unique(key[a != b], return_inverse=True)
+                many = np.broadcast_to(count[rows, None], a.shape)[a != b]
+                keys.append(found)
+                counts.append(np.bincount(inverse, many, len(found)).astype(np.int64))
+        if not keys:
+            return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3), int)
+        key, inverse = np.unique(np.concatenate(keys) // 3, return_inverse=True)
+        found = np.zeros((len(key), 3), np.int64)
+        np.add.at(found, (inverse, np.concatenate(keys) % 3), np.concatenate(counts))
+        first, second = np.divmod(key, size)
+        return first, second, found
+
+    @classmethod
+    def _merged(cls, blocks: Iterable[Block]) -> "Rankings":
+        """Return rankings with one block for each number of players, in which each ranking is there once."""
+        of_size: dict[int, list[Block]] = {}
+        for block in blocks:
+            of_size.setdefault(block.players.shape[1], []).append(block)
+        found = []
+        for n, some in sorted(of_size.items()):
+            rows = np.concatenate([np.concatenate([each.players, each.ranks], 1) for each in some])
+            order = np.lexsort(rows.T[::-1])
+            rows, count = rows[order], np.concatenate([each.number for each in some])[order]
+            starts = np.flatnonzero(np.append(True, (rows[1:] != rows[:-1]).any(1)))
+            kept = rows[starts]
+            found.append(Block(kept[:, :n], kept[:, n:], np.add.reduceat(count, starts)))
+        return cls(tuple(found))
+
+
+NO_RANKINGS = Rankings()
+
+
+def tied(ranks: np.ndarray) -> np.ndarray:
+    """Return the number (R, n) of players that share each player's rank, for ranks (R, n) that do not decrease."""
+    position = np.arange(ranks.shape[1])
+    first = np.where(ranks - 1 == position, position, ranks.shape[1])  # of each group of tied players
+    following = np.minimum.accumulate(first[:, ::-1], 1)[:, ::-1]
+    after = np.concatenate([following[:, 1:], np.full((len(ranks), 1), ranks.shape[1])], 1)
+    return after - (ranks - 1)
+
+
+def chunks(rows: int, width: int, most: int = 2_000_000) -> list[slice]:
+    """Return slices of rows of that width, each with about `most` entries at most, so that memory stays bounded."""
+    step = max(1, most // max(width, 1))
+    return [slice(at, at + step) for at in range(0, rows, step)]
+
+
+def pair_rows(
+    rankings: Rankings, lineups: Mapping[tuple[str, ...], LineupTotals], place: Mapping[str | None, int]
+) -> np.ndarray:
+    """Return lineups as rows (rows, 16) of `payoff.sum_matches`: in each game every pair of teams counts as a game.
+
+    All games count as played at home, since three and more teams have no two sides. A void that a third team alone has
+    caused is none of a pair's.
+    """
+    first, second, games = rankings.pairs(len(place))
+    met = np.zeros((len(first), 16), np.int64)
+    met[:, 0], met[:, 1], met[:, 2:5] = first, second, games
+    voids = []
+    for snapshots, totals in lineups.items():
+        unclear = totals.voids - sum(totals.voids_by_team)
+        for i, a in enumerate(snapshots):
+            for j, b in enumerate(snapshots[:i]):
+                ends = sorted(((place[a], totals.voids_by_team[i]), (place[b], totals.voids_by_team[j])))
+                (one, own), (other, theirs) = ends
+                if one != other:
+                    voids.append([one, other, *[0] * 11, unclear + own + theirs, own, theirs])
+    return np.concatenate([met, np.array(voids, np.int64).reshape(-1, 16)])
+
+
+def _sorted(players: np.ndarray, ranks: np.ndarray, count: np.ndarray) -> Block:
+    """Return rankings in canonical order, from best to worst, and tied players by index."""
+    order = np.lexsort((players, ranks))
+    return Block(np.take_along_axis(players, order, 1), np.take_along_axis(ranks, order, 1), count)
+
+
+def lineups_of(matches: Iterable[RankedMatch]) -> dict[tuple[str, ...], LineupTotals]:
+    """Return the sums of ranked matches of the same snapshots in the same teams."""
+    found: dict[tuple[str, ...], LineupTotals] = {}
+    for match in matches:
+        found[match.snapshots] = LineupTotals.of(match).plus(found.get(match.snapshots))
+    return found
