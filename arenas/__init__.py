@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MODULES = (
     "arenas.games.sumo",
     "arenas.games.walk",
+    "arenas.games.bansal",
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",
