@@ -55,7 +55,7 @@ class KickAndDefend(Contest):
             derived=KINEMATICS,
             props=(props.ball(radius=BALL_RADIUS, mass=BALL_MASS),),
             marker_kinds={"goal": "segment", "box": "segment"},
-            rows=BALL_ROWS,
+            more_rows=BALL_ROWS,
             **options,
         )
         self.rules = settings.rules

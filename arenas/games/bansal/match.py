@@ -60,16 +60,16 @@ class Contest(Arena):
         derived: tuple[str, ...] = (),
         props: tuple[Prop, ...] = (),
         marker_kinds: Mapping[str, str],
-        rows: int = 0,
+        more_rows: int = 0,
         **options: Unpack[EngineOptions],
     ):
-        """Build the scene; `rows` are further rows of Warp's buffers. Raises ArenaError for a body without legs."""
+        """Build the scene; `more_rows` are rows of Warp's buffers. Raises ArenaError for a body without legs."""
         file = settings.robot_file()
         robot = robot_of(file) if file else anymal()
         if not robot.feet:
             raise ArenaError(f"robot {settings.robot} has no feet: name them in its robot file, feet = [bodies]")
         kind = kind_of(settings.robot)
-        solver = Solver(contacts=SPARE_CONTACTS + 2 * kind.contacts, rows=SPARE_ROWS + 2 * kind.rows + rows)
+        solver = Solver(contacts=SPARE_CONTACTS + 2 * kind.contacts, rows=SPARE_ROWS + 2 * kind.rows + more_rows)
         super().__init__(
             settings.name, {team: (robot,) for team in settings.teams}, settings.timing, asdict(settings.rules),
             solver=solver, derived=derived, props=props, marker_kinds=marker_kinds, **options,

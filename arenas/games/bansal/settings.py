@@ -4,7 +4,7 @@ Nothing here loads jax or mujoco. `docs/arenas/bansal.md` has the original's num
 """
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar, Literal, Unpack
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar, Unpack
 
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
@@ -201,32 +201,47 @@ class KickAndDefendSettings(ContestSettings):
         return KickAndDefend(self, **options)
 
 
-# 200 physics steps and 50 decisions per second, where the original has 333 and 67.
-_BIPED = {"timestep": 0.005, "substeps": 4, "episode": 7.5, "start_height": 1.4}
-_HUMANOID = {"control": -0.01, "alive": 0.5, "alive_height": 1.0}
+R = TypeVar("R", bound=ContestRules)
+W = TypeVar("W", bound=ContestReward)
+
+
+def _biped(rules: R) -> R:
+    """Return rules with the pace of humanoids: 200 physics steps and 50 decisions per second, the original's 333 and
+    67.
+    """
+    return replace(rules, timestep=0.005, substeps=4, episode=7.5, start_height=1.4)
+
+
+def _fighter(reward: W) -> W:
+    """Return a reward with the original's weights of all but ants that run."""
+    return replace(reward, control=-0.01, alive=0.5)
+
+
+def _humanoid(reward: W) -> W:
+    return replace(_fighter(reward), alive_height=1.0)
+
 
 ARENAS = (
     RunToGoalSettings(),
     RunToGoalSettings(
         "run-to-goal-humanoids",
         "humanoid",
-        rules=RunToGoalRules(**_BIPED, fall_height=0.8),
-        reward=RunToGoalReward(**_HUMANOID, forward=0.125, distance=-0.1),
+        rules=_biped(RunToGoalRules(fall_height=0.8)),
+        reward=_humanoid(RunToGoalReward(forward=0.125, distance=-0.1)),
     ),
     RingSumoSettings(
-        rules=RingSumoRules(substeps=2, hold=2, episode=7.5, fall_height=0.3),
-        reward=RingSumoReward(control=-0.01, alive=0.5),
+        rules=RingSumoRules(substeps=2, hold=2, episode=7.5, fall_height=0.3), reward=_fighter(RingSumoReward())
     ),
     RingSumoSettings(
         "sumo-humanoids",
         "humanoid",
-        rules=RingSumoRules(**_BIPED, fall_height=0.5, ring=(1.5, 3.5), edge=0.6, apart=0.5),
-        reward=RingSumoReward(**_HUMANOID),
+        rules=_biped(RingSumoRules(fall_height=0.5, ring=(1.5, 3.5), edge=0.6, apart=0.5)),
+        reward=_humanoid(RingSumoReward()),
     ),
     YouShallNotPassSettings(
-        rules=YouShallNotPassRules(**_BIPED, fall_height=0.3), reward=YouShallNotPassReward(**_HUMANOID)
+        rules=_biped(YouShallNotPassRules(fall_height=0.3)), reward=_humanoid(YouShallNotPassReward())
     ),
-    KickAndDefendSettings(rules=KickAndDefendRules(**_BIPED, fall_height=0.8), reward=KickAndDefendReward(**_HUMANOID)),
+    KickAndDefendSettings(rules=_biped(KickAndDefendRules(fall_height=0.8)), reward=_humanoid(KickAndDefendReward())),
 )
 
 
