@@ -150,7 +150,7 @@ class Contest(Arena):
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return scripts of the body, if there are simple ones."""
-        return scripts.of_body(self.robot, self._torque, self.observation_builder)
+        return scripts.of_body(self.robot, self._torque, self.observation_builder, self.timing.episode)
 
     # For judging -----------------------------------------------------------------------------------------------------
 

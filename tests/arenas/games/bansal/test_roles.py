@@ -117,3 +117,11 @@ def test_bad_settings_are_refused_in_one_line(lines, message):
 def test_a_ring_without_room_is_refused():
     with pytest.raises(ConfigError, match="apart"):
         experiment.loads('[arena]\nname = "sumo-ants"\nrules.ring = [1.0, 2.0]\n')
+
+
+def test_an_ants_gait_walks_forward_and_standing_stays(worlds):
+    tried = worlds(built("run-to-goal", episode=5.0))
+    states = tried.play("walk", "stand", worlds=8)
+    walker, stander = (states.observations[name][:, :, 0] for name in ("blue/0", "red/0"))  # (T, worlds) m forward
+    assert np.median(walker.max(axis=0)) > -0.3  # from -1; the other stands in the way
+    assert np.median(np.abs(stander[30] + 1.0)) < 0.4  # until it is pushed
