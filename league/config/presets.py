@@ -158,12 +158,12 @@ def galaga_2v2() -> Config:
 
 def run_to_goal() -> Config:
     """Ants that must reach the line behind the other first (Bansal et al. 2018); for a GPU."""
-    return _contest("run-to-goal", 200_000_000, gamma=0.99)
+    return _contest("run-to-goal", 200_000_000, 0.99, **ANTS)
 
 
 def sumo_ants() -> Config:
     """Ants that push each other over or out of a ring (Bansal et al. 2018); for a GPU."""
-    return _contest("sumo-ants", 400_000_000)
+    return _contest("sumo-ants", 400_000_000, **ANTS)
 
 
 def sumo_humanoids() -> Config:
@@ -184,14 +184,16 @@ def kick_and_defend() -> Config:
     return replace(_contest("kick-and-defend", 800_000_000), stages=(easy, Stage("full", {})))
 
 
-def _contest(arena: str, steps: int, gamma: float = 0.995) -> Config:
+def _contest(
+    arena: str, steps: int, gamma: float = 0.995, lr: float = 3e-4, desired_kl: float | None = 0.01
+) -> Config:  # fmt: skip
     """Return a league in one of Bansal et al.'s games: dense terms fade over a quarter of `steps`, and opponents are
     the newer half of the history, their best rule for humanoids.
     """
     config = default(arena)
     learner = HappoConfig(
-        Architecture((128, 128, 128), "elu"), lr=1e-3, critic_lr=1e-3, gamma=gamma, initial_std=0.5, desired_kl=0.01,
-        normalise_observations=True,
+        Architecture((128, 128, 128), "elu"), lr=lr, critic_lr=1e-3, gamma=gamma, entropy_coef=0.0, initial_std=0.5,
+        desired_kl=desired_kl, normalise_observations=True,
     )  # fmt: skip
     training = replace(
         config.training, rollout_length=24, shaping_steps=steps // 4, snapshots_per_doubling=4,
@@ -239,6 +241,7 @@ def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -
     return Stage(name, settings)
 
 
+ANTS: Mapping[str, Any] = {"lr": 1e-3, "desired_kl": None}
 SUMO = (
     _stage("walk", "anymal-walk", success=0.9, steps=200_000_000),
     _stage("push-anymal", "block-push-anymal", score=0.8, plateau=6, steps=100_000_000),

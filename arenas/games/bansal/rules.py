@@ -2,8 +2,9 @@
 
 Their code adds per-step dense terms to a result of ±1000, in steps of 50 ms (ants that run) or 15 ms. Here a result is
 ±1 and dense terms are per second, so that timing does not change them: their weight 1 per step is 0.02 per second of
-ants that run, and 0.067 in the other games. Ours are 0.1, in the proportions of theirs, because the result counts from
-the first step on here, where they fade it in.
+ants that run, and 0.067 in the other games. Ours is 0.1 in the other games, because the result counts from the first
+step on here, where they fade it in. For ants that run it is 0.3 for the way forward and less for all else, with which
+they move sooner.
 """
 
 from dataclasses import dataclass, field
@@ -104,9 +105,9 @@ class ContestReward(RewardTerms):
     """To the winner, and from the loser."""
     draw: float = -1.0
     """To both where neither wins."""
-    control: float = -0.05
+    control: float = -0.01
     """Shaping: per second, times the sum of the squares of the action."""
-    alive: float = 0.1
+    alive: float = 0.05
     """Shaping: per second above `alive_height`, and its negative below."""
     alive_height: float = field(default=0.28, metadata={"low": 0.0, "high": 5.0})
     """Height of the base for `alive`, m."""
@@ -116,7 +117,7 @@ class ContestReward(RewardTerms):
 class RunToGoalReward(ContestReward):
     """Rewards of run to goal."""
 
-    forward: float = 0.1
+    forward: float = 0.3
     """Shaping: per metre towards the own goal line."""
     distance: float = 0.0
     """Shaping: per second and metre to the own goal line."""

@@ -214,7 +214,7 @@ def _biped(rules: R) -> R:
 
 def _fighter(reward: W) -> W:
     """Return a reward with the original's weights of all but ants that run."""
-    return replace(reward, control=-0.01, alive=0.5)
+    return replace(reward, alive=0.5)
 
 
 def _humanoid(reward: W) -> W:
