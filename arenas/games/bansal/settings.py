@@ -229,9 +229,7 @@ ARENAS = (
         rules=_biped(RunToGoalRules(fall_height=0.8)),
         reward=_humanoid(RunToGoalReward(forward=0.125, distance=-0.1)),
     ),
-    RingSumoSettings(
-        rules=RingSumoRules(substeps=2, hold=2, episode=7.5, fall_height=0.3), reward=_fighter(RingSumoReward())
-    ),
+    RingSumoSettings(rules=RingSumoRules(substeps=3, episode=7.5, fall_height=0.3), reward=_fighter(RingSumoReward())),
     RingSumoSettings(
         "sumo-humanoids",
         "humanoid",
