@@ -10,12 +10,14 @@ import arenas
 from agents.rollout.rollout import make_play, scripts_for
 from arenas.description import Part
 from arenas.errors import ArenaError
-from league.config import presets
+from league.config import experiment, presets
 from league.config.schema import ConfigError
-from league.matches.evaluator import MatchEvaluator
+from league.matches.adhoc_matches import pairing
+from league.matches.exploitability import measure, measure_masked
 from league.matches.masking import mask_opponents, opponent_numbers
+from league.queries.query import Open
 from league.snapshots.codec import add_scripts, seat
-from storage.records import League
+from storage.records import League, Player
 from storage.store import Store
 from tests.arenas.race import Race, RaceRules, RaceSettings
 
@@ -60,21 +62,20 @@ def test_an_arena_that_does_not_say_which_numbers_are_the_opponents_is_refused_i
     assert "\n" not in str(told.value)
 
 
-def test_an_evaluator_masks_the_side_that_it_is_told_in_both_orders(tmp_path):
+def test_a_victim_that_needs_to_see_its_opponent_wins_less_without(tmp_path):
     config = presets.duel()
-    config = replace(config, rating=replace(config.rating, worlds=8, pairings=1, record=False))
+    config = replace(config, rating=replace(config.rating, record=False))
     arena = config.arena.build(engine="c", threads=1)
-    evaluator = MatchEvaluator(config, arena, "duel")
     with Store.open(tmp_path / "store", create=True) as store:
-        store.create_league(League("duel", ""))
+        store.create_league(League("duel", experiment.dumps(config)))
+        store.add_players([Player("duel", t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
         add_scripts(store, "duel", arena, None)
-        names = {s.name: s for s in store.snapshots("duel")}
-        pusher, idle = names["pusher"], names["idle"]
-        seats = evaluator.side_orders(pusher, idle)
-        score = evaluator.games(store, seats, 1).score
-        evaluator.mask_opponents_of(pusher, seats)
-        blind = evaluator.games(store, seats, 1).score
-    assert score[:4, 0].sum() + score[4:, 1].sum() > blind[:4, 0].sum() + blind[4:, 1].sum()
+        found = pairing(Open(store), "idle", "pusher")
+        match = measure(found, 16)
+        masked = measure_masked(found, 16)
+        assert sum(masked) == match.wins + match.draws + match.losses == 16
+        assert masked[0] < match.losses  # the pusher is B
+        assert [m.purpose for m in store.matches("duel")] == ["exploit"]
 
 
 @pytest.mark.parametrize(
