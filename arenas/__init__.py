@@ -29,6 +29,7 @@ MODULES = (
     "arenas.games.sumo",
     "arenas.games.walk",
     "arenas.games.disturbance",
+    "arenas.games.bansal",
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",

@@ -19,6 +19,7 @@ class Part(NamedTuple):
     size: int
     unit: str = ""  # empty: a share, a cosine, a choice, ...
     meaning: str = ""
+    opponent: bool = False  # the numbers are about the other team: `league exploit --mask-opponent` freezes them
 
 
 @dataclass(frozen=True)

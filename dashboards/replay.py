@@ -129,7 +129,13 @@ def _radius(recording: Recording, xpos: np.ndarray) -> float:
     reach = [np.hypot(circle[:, 0], circle[:, 1]) + circle[:, 2] for circle in circles]
     if not reach:
         balls = [markers[name][:1] for name, kind in kinds.items() if kind in ("sphere", "ball")]
-        reach = [1.2 * np.hypot(at[:, 0], at[:, 1]) for at in (xpos[0], *balls)]
+        lines = [
+            markers[name][:1]
+            for name, kind in kinds.items()
+            if kind == "segment" and not np.ptp(markers[name], 0).any()
+        ]
+        middles = [(line[:, :3] + line[:, 3:]) / 2 for line in lines]  # of lines that never move, such as a goal's
+        reach = [1.2 * np.hypot(at[:, 0], at[:, 1]) for at in (xpos[0], *balls, *middles)]
     return max(0.5, float(np.nanmax(np.concatenate(reach))))
 
 

@@ -65,6 +65,12 @@ SHOTS = {
     "soccer-1v1": Shot(("striker", "striker"), 0, 6.8),
     "soccer-2v2": Shot(("striker", "striker"), 0, 8.0),
     "soccer-2v2-leatherback": Shot(("striker", "keeper"), 0, 7.3),
+    "run-to-goal": Shot(("walk", "random"), 1, 6.0),
+    "run-to-goal-humanoids": Shot(("idle", "idle"), 0, 0.5),
+    "sumo-ants": Shot(("walk", "stand"), 0, 5.0),
+    "sumo-humanoids": Shot(("idle", "idle"), 0, 0.5),
+    "you-shall-not-pass": Shot(("idle", "idle"), 0, 0.5),
+    "kick-and-defend": Shot(("idle", "idle"), 0, 0.5),
     "rock-paper-scissors": Shot(("rock", "paper"), 0, 1.0),
     "matching-pennies": Shot(("heads", "tails"), 0, 1.0),
 }

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from agents.policy.jax_policy import PolicyStack, act, memory_size, update_memory
@@ -20,6 +21,7 @@ CUT_SEED = 0x7FFFFFFF  # folded into the key that also places the robots; an are
 
 
 Memory = Mapping[str, Array]  # (N, units) by agent name, for agents with a recurrent policy in their stack
+Frozen = Mapping[str, np.ndarray]  # (N, obs) bool by agent name: numbers that its policy sees as they were at the start
 
 
 class Worlds(NamedTuple):
@@ -185,6 +187,7 @@ class MatchState(NamedTuple):
     episode_keys: Array  # (N,) keys
     decisions: Array  # (N,) int32: length of each episode so far
     at: Array  # () int32: decisions of the longest episode so far
+    first: dict[str, Array] | None = None  # (N, obs) at the start, of agents whose observations are partly frozen
 
 
 class EpisodeRecords(NamedTuple):
@@ -198,15 +201,17 @@ class EpisodeRecords(NamedTuple):
 
 
 def make_play(
-    arena: Arena, recorded: tuple[int, ...] = (), seen: bool = False, privileged: bool = False
+    arena: Arena, recorded: tuple[int, ...] = (), seen: bool = False, privileged: bool = False,
+    frozen: Frozen | None = None,
 ) -> jax.stages.Wrapped:  # fmt: skip
     """Compile a match: `play(stacks, keys (N,)) -> PlayedEpisodes`, one full episode in every world.
 
     Every world plays exactly one episode, so that short episodes do not count more often than long ones. A world's key
     determines its start and its random numbers; worlds with equal keys are a seed pair. `recorded` are the worlds to
-    record, with `seen` also the critics' input, and with `privileged` the full state if the arena offers it.
+    record, with `seen` also the critics' input, and with `privileged` the full state if the arena offers it. Numbers of
+    observations that are `frozen` are given to policies as they were at the start.
     """
-    begin, go_on = _match(arena, recorded, seen, privileged)
+    begin, go_on = _match(arena, recorded, seen, privileged, frozen or {})
 
     def play(stacks: Mapping[str, PolicyStack], keys: Array) -> PlayedEpisodes:
         match_state, records = go_on(stacks, begin(stacks, keys), arena.timing.decisions)
@@ -245,14 +250,14 @@ def finish_match(match_state: MatchState, records: EpisodeRecords) -> PlayedEpis
 
 
 def _match(
-    arena: Arena, recorded: tuple[int, ...], seen: bool = False, privileged: bool = False
+    arena: Arena, recorded: tuple[int, ...], seen: bool = False, privileged: bool = False, frozen: Frozen | None = None
 ) -> tuple[
     Callable[[Mapping[str, PolicyStack], Array], MatchState],
     Callable[[Mapping[str, PolicyStack], MatchState, int], tuple[MatchState, EpisodeRecords]],
 ]:  # fmt: skip
     """Return the functions that begin a match and play its next decisions."""
     decide, whole = _make_act(arena), jax.vmap(arena.privileged_state)
-    kept = jnp.asarray(recorded, jnp.int32)
+    kept, masks = jnp.asarray(recorded, jnp.int32), frozen or {}
 
     def critic_observations(state: State) -> CriticObservations:
         state = jax.tree.map(lambda x: x[kept], state)
@@ -261,21 +266,25 @@ def _match(
 
     def begin(stacks: Mapping[str, PolicyStack], keys: Array) -> MatchState:
         start, episode_keys = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 2))(keys), 1, 0)
-        number = keys.shape[0]
+        number, state = keys.shape[0], jax.vmap(arena.reset)(start)
+        first = {agent: state.observations[agent] for agent in masks} or None
         return MatchState(
-            jax.vmap(arena.reset)(start), _fit_memory(None, stacks, number), episode_keys, jnp.zeros(number, jnp.int32),
-            jnp.zeros((), jnp.int32),
+            state, _fit_memory(None, stacks, number), episode_keys, jnp.zeros(number, jnp.int32),
+            jnp.zeros((), jnp.int32), first,
         )  # fmt: skip
 
     def go_on(
         stacks: Mapping[str, PolicyStack], match_state: MatchState, length: int
     ) -> tuple[MatchState, EpisodeRecords]:
-        episode_keys = match_state.episode_keys
+        episode_keys, first = match_state.episode_keys, match_state.first or {}
 
         def decision(carry: tuple[State, Memory | None], t: Array) -> tuple[tuple[State, Memory | None], tuple]:
             state, memory = carry
             keys = jax.vmap(lambda key: jax.random.fold_in(key, t))(episode_keys)
-            actions, _, memory = decide(stacks, state.observations, keys, memory, jnp.broadcast_to(t == 0, keys.shape))
+            shown = state.observations | {
+                agent: jnp.where(mask, first[agent], state.observations[agent]) for agent, mask in masks.items()
+            }
+            actions, _, memory = decide(stacks, shown, keys, memory, jnp.broadcast_to(t == 0, keys.shape))
             after, frames = jax.vmap(arena.step_with_frames)(state, actions)
             records = EpisodeRecords(
                 jax.tree.map(lambda x: jnp.moveaxis(x[kept], 0, 1), frames),
@@ -290,7 +299,9 @@ def _match(
             decision, (match_state.state, match_state.memory), match_state.at + jnp.arange(length)
         )
         decisions = match_state.decisions + on.sum(axis=0, dtype=jnp.int32)
-        return MatchState(state, memory, episode_keys, decisions, match_state.at + length), records
+        return match_state._replace(
+            state=state, memory=memory, decisions=decisions, at=match_state.at + length
+        ), records
 
     return begin, go_on
 

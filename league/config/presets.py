@@ -208,6 +208,54 @@ def _hopper(name: str, **arena: Any) -> Config:
     return replace(config, league=name, arena=settings, learner=learner, training=training, budget=budget)
 
 
+def run_to_goal() -> Config:
+    """Ants that must reach the line behind the other first (Bansal et al. 2018); for a GPU."""
+    return _contest("run-to-goal", 200_000_000, 0.99, **ANTS)
+
+
+def sumo_ants() -> Config:
+    """Ants that push each other over or out of a ring (Bansal et al. 2018); for a GPU."""
+    return _contest("sumo-ants", 400_000_000, **ANTS)
+
+
+def sumo_humanoids() -> Config:
+    """Humanoids that push each other over or out of a ring (Bansal et al. 2018); for a GPU."""
+    return _contest("sumo-humanoids", 800_000_000)
+
+
+def you_shall_not_pass() -> Config:
+    """Humanoids of which one runs to a line and the other blocks, in both roles (Bansal et al. 2018); for a GPU."""
+    return _contest("you-shall-not-pass", 800_000_000)
+
+
+def kick_and_defend() -> Config:
+    """Humanoids of which one kicks a ball at a goal and the other keeps it, in both roles (Bansal et al. 2018); for a
+    GPU. They begin near the middle of the ranges of their starts.
+    """
+    easy = Stage("near", {"arena": {"rules": {"spread": 0.1}}, "budget": {"steps": 400_000_000}})
+    return replace(_contest("kick-and-defend", 800_000_000), stages=(easy, Stage("full", {})))
+
+
+def _contest(
+    arena: str, steps: int, gamma: float = 0.995, lr: float = 3e-4, desired_kl: float | None = 0.01
+) -> Config:  # fmt: skip
+    """Return a league in one of Bansal et al.'s games: dense terms fade over a quarter of `steps`, and opponents are
+    the newer half of the history, their best rule for humanoids.
+    """
+    config = default(arena)
+    learner = HappoConfig(
+        Architecture((128, 128, 128), "elu"), lr=lr, critic_lr=1e-3, gamma=gamma, entropy_coef=0.0, initial_std=0.5,
+        desired_kl=desired_kl, normalise_observations=True,
+    )  # fmt: skip
+    training = replace(
+        config.training, rollout_length=24, shaping_steps=steps // 4, snapshots_per_doubling=4,
+        opponents=Opponents("delta_uniform", delta=0.5),
+    )  # fmt: skip
+    return replace(
+        config, league=arena, learner=learner, training=training, budget=Budget(steps=steps, rating_time="5m")
+    )
+
+
 def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) -> Config:
     """Return a league of HARL-A's stages and a last stage of matches; `match` has settings of the last stage.
 
@@ -245,6 +293,7 @@ def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -
     return Stage(name, settings)
 
 
+ANTS: Mapping[str, Any] = {"lr": 1e-3, "desired_kl": None}
 SUMO = (
     _stage("walk", "anymal-walk", success=0.9, steps=200_000_000),
     _stage("push-anymal", "block-push-anymal", score=0.8, plateau=6, steps=100_000_000),
@@ -278,6 +327,8 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "sumo-by-team": by_team, "sumo-within-team": within_team,
     "hopper-alone": hopper_alone, "hopper-adversary": hopper_adversary, "hopper-adversaries": hopper_adversaries,
     "soccer-1v1": soccer_1v1, "soccer-2v2": soccer_2v2, "galaga-1v1": galaga_1v1, "galaga-2v2": galaga_2v2,
+    "run-to-goal": run_to_goal, "sumo-ants": sumo_ants, "sumo-humanoids": sumo_humanoids,
+    "you-shall-not-pass": you_shall_not_pass, "kick-and-defend": kick_and_defend,
 }  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from agents.rollout.rollout import PlayedEpisodes, make_play, scripts_for
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.matches.episode_recording import episode
+from league.matches.masking import mask_opponents
 from league.matches.match_rows import match_row, ranked_row
 from league.matches.time_slices import TimeSlices
 from league.snapshots.arena_transfer import elsewhere
@@ -145,6 +146,15 @@ class MatchEvaluator:
         stacks = seat(self.arena.teams, teams, self._shapes)
         self._remember(teams)
         return self._played(stacks, self._keys(seats, seed))
+
+    def mask_opponents_of(self, snapshot: Snapshot, seats: Sequence[Sides]) -> None:
+        """Let one of these sides see its opponents as they were at the start, in all games from now on.
+
+        Raises ConfigError if the arena does not say which numbers of its observations are the opponents'.
+        """
+        teams = [next(t for t, each in enumerate(seating) if each is snapshot) for seating in seats]
+        frozen = mask_opponents(self.arena, teams, self.each)
+        self._play = Compiled(make_play(self.arena, self.recorded, frozen=frozen), self.arena)
 
     def _played(self, stacks: dict[str, PolicyStack], keys: jax.Array) -> PlayedEpisodes:
         """Play compiled games and copy them to the host; `seconds` becomes the device time that they took."""

@@ -56,9 +56,11 @@ class ObservationBuilder:
             Part("velocity", 2, "m/s", "its own, along the world's x and y, as all that follows"),
             Part("position", 2, "m", "its own, from the middle of the field"),
             Part("pillars", 2 * self.pillars, "m", "vector to the middle of each"),
-            Part(hunters, 2 * predators, "m", "vector to each"),
-            Part(hunted, 2 * prey, "m", "vector to each; zeros if it is caught"),
-            Part(f"{hunted}, moving", 2 * prey, "m/s", "the velocity of each; zeros if it is caught"),
+            Part(hunters, 2 * predators, "m", "vector to each", opponent=preys),
+            Part(hunted, 2 * prey, "m", "vector to each; zeros if it is caught", opponent=not preys),
+            Part(
+                f"{hunted}, moving", 2 * prey, "m/s", "the velocity of each; zeros if it is caught", opponent=not preys
+            ),
             Part("time", 1, "", "share of the episode that has passed"),
         )
         return tuple(part for part in parts if part.size)

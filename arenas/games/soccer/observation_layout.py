@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from arenas.description import Part
+from arenas.games.sumo.observation_layout import ENEMY
 from arenas.robots.kinds import kind_of
 
 VECTORS = 7  # of three numbers each: ball, its velocity, two goals, a team-mate, two enemies
@@ -44,7 +45,10 @@ def parts(kind: str, proprioception: Sequence[Part], seen: Sequence[str], buffer
     units = ("m", "m/s", *["m"] * len(seen))
     begins = proprioception if feels_joints(kind) else (Part("velocity", 3, "m/s", "in its own frame"),)
     names = [*named, *(f"tail {i}" for i in range(len(seen) - VECTORS))]
-    rest = [Part(name, 3, unit, what or NOTHING) for name, unit, what in zip(names, units, seen, strict=False)]
+    rest = [
+        Part(name, 3, unit, what or NOTHING, opponent=what.startswith(ENEMY))
+        for name, unit, what in zip(names, units, seen, strict=False)
+    ]
     unused = buffer - 3 * (len(seen) - VECTORS)
     ends = (Part("buffer", unused, "", "zeros, reserved for later stages"),) if unused > 0 else ()
     return (*begins, *rest, *ends)

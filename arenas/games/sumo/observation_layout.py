@@ -17,6 +17,7 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
 }
 WIDTHS = {"feeling": 45, "a": 3, "b": 3, "c": 3, "distance": 1, "velocity": 3, "radius": 1}
 NOTHING = "unused: zeros"
+ENEMY = "enemy"  # how the names of robots of the other team begin
 
 
 def layout(kind: str) -> tuple[str, ...]:
@@ -44,17 +45,20 @@ def slot_parts(
 
     A slot "" is empty. Without a `ring` there is no distance from the centre and no radius.
     """
-    a, b, c, *further = (f"{what}: position in its own frame" if what else NOTHING for what in slots)
+    a, b, c, *further = (
+        Part("", 3, "m", f"{what}: position in its own frame" if what else NOTHING, opponent=what.startswith(ENEMY))
+        for what in slots
+    )
     words = {
-        "a": Part("slot A", 3, "m", a),
-        "b": Part("slot B", 3, "m", b),
-        "c": Part("slot C", 3, "m", c),
+        "a": a._replace(name="slot A"),
+        "b": b._replace(name="slot B"),
+        "c": c._replace(name="slot C"),
         "distance": Part("distance", 1, "m", "from the ring's centre, including height" if ring else NOTHING),
         "velocity": Part("velocity", 3, "m/s", "in its own frame"),
         "radius": Part("radius", 1, "m", "of the ring, at present" if ring else NOTHING),
     }
     found = [part for name in layout(kind) for part in (proprioception if name == "feeling" else [words[name]])]
-    found += [Part(f"tail {i}", 3, "m", what) for i, what in enumerate(further)]
+    found += [part._replace(name=f"tail {i}") for i, part in enumerate(further)]
     unused = buffer - 3 * len(further)
     return (*found, Part("buffer", unused, "", "zeros, reserved for later stages")) if unused > 0 else tuple(found)
 
@@ -82,13 +86,17 @@ OWN, PER_OTHER = sum(part.size for part in _OWN), sum(part.size for part in _OTH
 
 def full_parts(proprioception: Sequence[Part], other_names: Sequence[str]) -> tuple[Part, ...]:
     """Describe the full observation of a robot with this proprioception that observes these robots."""
-    of_others = [part._replace(name=f"{other}'s {part.name}") for other in other_names for part in _OTHER]
+    of_others = [
+        part._replace(name=f"{other}'s {part.name}", opponent=other.startswith(ENEMY))
+        for other in other_names
+        for part in _OTHER
+    ]
     return (*proprioception, *_OWN, *of_others)
 
 
 def other_names(mates: int, enemies: int) -> list[str]:
     """Name the other robots, those of the own team first."""
-    return [*_numbered("team-mate", mates), *_numbered("enemy", enemies)]
+    return [*_numbered("team-mate", mates), *_numbered(ENEMY, enemies)]
 
 
 def _numbered(what: str, count: int) -> list[str]:

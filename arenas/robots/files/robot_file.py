@@ -6,7 +6,7 @@
 import json
 import re
 import tomllib
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -63,6 +63,23 @@ class RobotFile:
         """All settings that decide how it moves, as text: part of an arena's configuration hash."""
         apart = {"folder", "model", "contacts", "rows", "width", "name", "planar"}  # the model decides `planar`
         return json.dumps({key: value for key, value in asdict(self).items() if key not in apart})
+
+
+def torque_driven(robot: RobotFile) -> RobotFile:
+    """Return the robot with torques for actions, shares of each drive's largest torque; another kind, NAME-torque.
+
+    A robot that has only such drives is returned as it is. Raises ArenaError, one line, for a drive without a limit.
+    """
+    if all(drive.control == "torque" for drive in robot.drives.values()):
+        return robot
+    for name, drive in robot.drives.items():
+        if not drive.effort:
+            raise ArenaError(f"robot {robot.name}: joint {name} has no largest torque; set effort in its robot file")
+    drives = {
+        name: replace(drive, control="torque", scale=drive.effort, kp=0.0, kd=0.0)
+        for name, drive in robot.drives.items()
+    }
+    return replace(robot, name=f"{robot.name}-torque", drives=drives)
 
 
 def read(path: Path) -> RobotFile:

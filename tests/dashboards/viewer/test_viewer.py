@@ -130,6 +130,9 @@ def test_segments_and_balls_are_where_they_were_told(match, tmp_path):
     np.testing.assert_allclose(halves, np.repeat(told["zone"][:, 3:], 3, axis=1), atol=1e-6)
     assert found["/world/markers/goal", "Ellipsoids3D:centers"] == [[[9, 0, 3]]]  # once, for it stands still
     assert replay(shown).radius == pytest.approx(1.2 * 9.0)  # a goal far from all bodies is in the picture
+    line = {"line": np.tile([6.0, -5.0, 0.0, 6.0, 5.0, 0.0], (STEPS, 1))}
+    crossed = replace(shown, header=replace(shown.header, marker_kinds={"line": "segment"}), markers=line)
+    assert replay(crossed).radius == pytest.approx(1.2 * 6.0)  # and so is the middle of a line that never moves
 
 
 def test_reward_score_events_and_header_are_told(match, columns):

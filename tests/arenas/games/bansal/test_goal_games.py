@@ -1,0 +1,103 @@
+"""Run to goal, you shall not pass, kick and defend: who wins, what is paid, by hand on the C engine."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from arenas.games.bansal.kick_and_defend import Shot
+from tests.arenas.games.bansal.contests import built, judged, outcome
+
+OPEN = ((0.0, 0.0, 1.3), (1.0, 0.0, 1.3))
+
+
+@pytest.fixture(scope="module")
+def run():
+    return built("run-to-goal")
+
+
+@pytest.fixture(scope="module")
+def passing():
+    return built("you-shall-not-pass")
+
+
+@pytest.fixture(scope="module")
+def kicking():
+    return built("kick-and-defend")
+
+
+RUNS = [
+    # bases, time, the outcome with the first team on the left, then on the right
+    (((3.9, 0, 0.5), (-3.9, 0, 0.5)), 1.0, (None, (0, 0)), (None, (0, 0))),
+    (((4.1, 0, 0.5), (-3.9, 0, 0.5)), 1.0, ((1, 0), (1, -1)), (None, (0, 0))),
+    (((-4.1, 0, 0.5), (3.9, 0, 0.5)), 1.0, (None, (0, 0)), ((1, 0), (1, -1))),
+    (((4.1, 0, 0.5), (-4.1, 0, 0.5)), 1.0, ((0.5, 0.5), (0, 0)), (None, (0, 0))),
+    (((0, 0, 0.2), (2, 0, 0.5)), 1.0, (None, (0, 0)), (None, (0, 0))),
+    (((0, 0, 0.2), (2, 0, 0.2)), 1.0, ((0.5, 0.5), (-1, -1)), ((0.5, 0.5), (-1, -1))),
+    (((0, 0, 0.5), (2, 0, 0.5)), 10.0, ((0.5, 0.5), (-1, -1)), ((0.5, 0.5), (-1, -1))),
+]
+
+
+@pytest.mark.parametrize(("bases", "time", "left", "right"), RUNS)
+def test_the_first_over_its_own_far_line_wins(run, bases, time, left, right):
+    assert outcome(judged(run, bases, time=time)) == left
+    assert outcome(judged(run, bases, second_first=True, time=time)) == right
+
+
+PASSES = [
+    # runner, blocker, time, score, rewards; both in the order runner, blocker
+    ((3.9, 0, 1.3), (1, 0, 1.3), 1.0, None, (0, 0)),
+    ((4.1, 0, 1.3), (1, 0, 1.3), 1.0, (1, 0), (1, -1)),
+    ((0, 0, 0.25), (1, 0, 1.3), 1.0, (0, 1), (-1, 1)),
+    ((0, 0, 0.25), (1, 0, 0.25), 1.0, (0.5, 0.5), (-1, 0)),
+    ((0, 0, 1.3), (1, 0, 0.25), 1.0, None, (0, 0)),
+    ((0, 0, 1.3), (1, 0, 1.3), 7.5, (0, 1), (-1, 0)),
+    ((4.1, 0, 1.3), (1, 0, 1.3), 7.5, (1, 0), (1, -1)),
+]
+
+
+@pytest.mark.parametrize(("runner", "blocker", "time", "score", "rewards"), PASSES)
+def test_the_runner_must_pass_on_its_feet_and_in_time_whichever_team_it_is(
+    passing, runner, blocker, time, score, rewards
+):
+    assert outcome(judged(passing, (runner, blocker), time=time)) == (score, rewards)
+    swapped = judged(passing, (blocker, runner), second_first=True, time=time)
+    assert outcome(swapped) == (score and score[::-1], rewards[::-1])
+
+
+KICKS = [
+    # ball, keeper's x and z, time, score and rewards of kicker and keeper
+    ((3.9, 0.0, 0.0), (3.0, 1.3), 1.0, None, (0, 0)),
+    ((4.1, 2.9, 3.0), (3.0, 1.3), 1.0, (1, 0), (1, -1)),
+    ((4.1, 3.1, 3.0), (3.0, 1.3), 1.0, (0, 1), (-1, 1.5)),
+    ((2.0, 0.0, -1.1), (3.0, 1.3), 1.0, (0, 1), (-1, 1.5)),
+    ((2.0, 0.0, -0.9), (3.0, 1.3), 1.0, None, (0, 0)),
+    ((2.0, 0.0, -1.1), (3.0, 0.3), 1.0, (0, 1), (-1, 1)),
+    ((0.0, 0.0, 0.0), (3.0, 1.3), 7.5, (0, 1), (-1, 1.5)),
+    ((0.0, 0.0, 0.0), (1.4, 1.3), 1.0, (1, 0), (0, -1)),
+]
+
+
+@pytest.mark.parametrize(("ball", "keeper", "time", "score", "rewards"), KICKS)
+def test_goals_saves_and_fouls(kicking, ball, keeper, time, score, rewards):
+    own = Shot(jnp.zeros(2), jnp.zeros((), bool))
+    kicker, x, z = (-2.0, 0.0, 1.3), *keeper
+    verdict = judged(kicking, (kicker, (x, 1.0, z)), own, ball=ball, time=time)
+    assert outcome(verdict) == (score, rewards)
+    swapped = judged(kicking, ((x, 1.0, z), kicker), own, second_first=True, ball=ball, time=time)
+    assert outcome(swapped) == (score and score[::-1], rewards[::-1])
+
+
+@pytest.mark.parametrize(("y", "touches"), [(0.0, True), (1.0, False)])
+def test_a_keeper_that_touched_the_ball_is_paid_at_the_save(kicking, y, touches):
+    own = Shot(jnp.zeros(2), jnp.zeros((), bool))
+    verdict = judged(kicking, ((-2.0, 0.0, 1.3), (3.0, y, 1.3)), own, ball=(3.0, 0.0, -2.0))
+    np.testing.assert_array_equal(verdict.events["touch"], [False, touches])
+    np.testing.assert_allclose(verdict.rewards["touch"], [0.0, 0.5 * touches])
+
+
+def test_dense_terms_are_bansals_by_second(passing):
+    verdict = judged(passing, ((1.0, 0.0, 1.3), (2.0, 0.0, 0.9)))
+    dt = 0.02
+    np.testing.assert_allclose(verdict.shapings["distance"], [-0.1 * 3 * dt, 0.1 * 3 * dt], rtol=1e-5)
+    np.testing.assert_allclose(verdict.shapings["alive"], [0.5 * dt, -0.5 * dt], rtol=1e-5)
+    np.testing.assert_allclose(verdict.shapings["forward"], [0.0, 0.0])
