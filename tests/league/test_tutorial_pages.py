@@ -15,7 +15,7 @@ from tests.league.conftest import ROOT, call, said
 
 STEP = re.compile(r"<!-- tutorial(?:: (\S+))? -->\n```(?:bash|python|toml)\n(.*?)```", re.DOTALL)
 SHORTER = {
-    "run": ("--training.worlds", "8", "--rating.worlds", "8", "--steps", "1024", "--budget.rating_time", "0s"),
+    "run": ("--rating.worlds", "8", "--steps", "1024", "--budget.rating_time", "0s"),
     "exploit": ("--budget", "1024", "--episodes", "16"),
     "rate": ("--episodes", "8"), "play": ("--episodes", "8"),
 }  # fmt: skip
@@ -58,7 +58,7 @@ def write_policy(path: Path) -> None:
 
 def shorter(words: list[str]) -> list[str]:
     """A command of the page with less to do."""
-    for option in ("--for", "--budget", "--budget.steps", "--training.worlds", "--episodes"):
+    for option in ("--for", "--budget", "--budget.steps", "--budget.rating_time", "--episodes"):
         if option in words:
             del words[words.index(option) : words.index(option) + 2]
     return [*words, *SHORTER.get(words[0], ())]
