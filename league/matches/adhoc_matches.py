@@ -82,6 +82,14 @@ class Pairing:
         return {m.seed: m for m in log if (m.a, m.b, m.arena) == (*self.pair, key)}
 
 
+def require_two_teams(opened: Open) -> None:
+    """Raise ConfigError, one line, in a league of more than two teams, in which no two meet alone."""
+    teams = len({p.team for p in opened.store.players(opened.league)})
+    if teams > 2:
+        what = f"league {opened.league} has {teams} teams, and this is between two"
+        raise ConfigError((), f"{what}: `league ratings` and `league payoff` tell who is better")
+
+
 def pairing(opened: Open, a: str, b: str | None) -> Pairing:
     """Find two snapshots by the names that `Open.snapshot` accepts.
 
@@ -89,6 +97,7 @@ def pairing(opened: Open, a: str, b: str | None) -> Pairing:
     """
     one, other = opened.snapshot(a), None if b is None else opened.snapshot(b)
     players = opened.store.players(opened.league)
+    require_two_teams(opened)
     one_team = len({p.team for p in players}) == 1
     if one_team != (b is None):
         why = "has one team, in which no two meet; `league play` takes one snapshot there"

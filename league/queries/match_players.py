@@ -6,10 +6,10 @@ from dashboards.identity import COLOURS, MatchPlayer, with_distinct_colours
 from league.queries.query import Open, score_text
 from league.queries.ratings.rating_rows import FIXED
 from matchmaking.ratings.ladder import Ladder, Pool
-from storage.records import RATED_PURPOSES, Match, Snapshot
+from storage.records import RATED_PURPOSES, Match, RankedMatch, Snapshot
 
 
-def players_of(opened: Open, match: Match, sides: Sequence[str]) -> tuple[MatchPlayer, ...]:
+def players_of(opened: Open, match: Match | RankedMatch, sides: Sequence[str]) -> tuple[MatchPlayer, ...]:
     """Return the players of the sides, given as names of snapshots; one that the league no longer has gets only a name.
 
     Colours are numbered by the league's players, in the order in which they were made, and then by the other members
@@ -33,7 +33,7 @@ def players_of(opened: Open, match: Match, sides: Sequence[str]) -> tuple[MatchP
     return with_distinct_colours(found, ages)
 
 
-def before(opened: Open, match: Match) -> Ladder:
+def before(opened: Open, match: Match | RankedMatch) -> Ladder:
     """Return the ladder of a match's arena from before the match was filed."""
     store, league = opened.store, opened.league
     snapshots = [s for s in store.snapshots(league, brief=True) if s.created <= match.created]

@@ -6,13 +6,23 @@ The page has the same data as the commands `ratings`, `payoff`, `explain`, `curv
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 from dashboards.tables import Column, render
 from dashboards.web import figures
 from dashboards.web.document import FigureBlock, Page, PairTable, Section, TableBlock
 from league.config.schema import ConfigError
-from league.queries.columns import CURVES, MATCHES, NEWEST, PLAYERS, PURPOSE, RECORDED, WORKERS
+from league.queries.columns import (
+    CURVES,
+    NEWEST,
+    PLAYERS,
+    PURPOSE,
+    RECORDED,
+    WORKERS,
+    match_columns,
+    result_text,
+)
 from league.queries.league_status import LeagueStatus, gather_status
 from league.queries.opponents import explain_opponents, mark_present, opponent_columns
 from league.queries.query import Open, Shown, curve_rows, match_rows, snapshot_rows
@@ -24,7 +34,7 @@ from league.queries.ratings.unbounded_fits import several_ranked
 from league.state.league_state import LeagueState
 from league.state.liveness import leader, processes
 from storage.errors import StorageError
-from storage.records import Match, Player
+from storage.records import Match, Player, RankedMatch
 
 DRAWN = {
     "score": "score in training", "reward": "reward per step", "length": "steps per episode", "entropy": "entropy",
@@ -67,7 +77,7 @@ def sections(opened: Open, link_prefix: str = "") -> list[Section]:
         for row in rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
     ]
     total = opened.store.last_match(opened.league)
-    newest = _played(opened.store.matches(opened.league, after=total - NEWEST), link_prefix)
+    newest = _played(opened.store.log(opened.league, after=total - NEWEST), link_prefix)
     found = {
         ("now", "Who learns now"): _schedule(status, opened.store.now()),
         ("ladder", "Ladder"): _ladder(rows, shown),
@@ -171,7 +181,9 @@ def _payoff(shown: Shown, opened: Open, link_prefix: str) -> Iterator[str | Figu
             " `league payoff --format csv` has all."
         )
     yield FigureBlock(figures.payoff(rows, columns, scores, games), f"{caption} A click on a cell shows its matches.")
-    met = opened.store.matches(opened.league, among=list(dict.fromkeys([*rows, *columns])))
+    among = list(dict.fromkeys([*rows, *columns]))
+    log = (opened.store.matches(opened.league, among=among), opened.store.ranked_matches(opened.league, among=among))
+    met = sorted((*log[0], *log[1]), key=lambda match: match.id)
     yield _pairs(rows, columns, _played(met, link_prefix), link_prefix)
     cells = [
         {"score %": name, **{other: found.cell(name, other, x) for other, x in zip(columns, line, strict=True)}}
@@ -252,10 +264,10 @@ def _jobs(state: LeagueState, status: LeagueStatus) -> Iterator[str | TableBlock
     yield _table(rows, columns, "Jobs that wait, are worked on or were set aside")
 
 
-def _played(matches: Sequence[Match], link_prefix: str) -> list[Row]:
+def _played(matches: Sequence[Match | RankedMatch], link_prefix: str) -> list[Row]:
     """Return the match log, newest first, with the further columns of tables for people."""
     return [
-        {**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}", "created": when(row["created"]),
+        {**row, "result": result_text(row), "created": when(row["created"]),
          "watch": f"league watch {row['match']}" if row["recorded"] else None,
          "led": f"{link_prefix}{row['match']}" if row["recorded"] and link_prefix else None}
         for row in reversed(match_rows(matches))
@@ -269,9 +281,10 @@ def _matches(newest: Sequence[Row], total: int, link_prefix: str) -> Iterator[Ta
         if link_prefix
         else caption
     )
-    columns = [LINKED_MATCH if c == "match" else c for c in MATCHES if c != RECORDED]
+    columns = [LINKED_MATCH if c == "match" else c for c in match_columns(newest) if c != RECORDED]
     columns += [PURPOSE, Column("created", "played", no_wrap=True), WATCH]
-    yield _table(newest, columns, f"The newest {len(newest)} of {total:,} batches, counted for a")
+    counted = "" if newest and all(row.get("lineup") for row in newest) else ", counted for a"
+    yield _table(newest, columns, f"The newest {len(newest)} of {total:,} batches{counted}")
 
 
 def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row], link_prefix: str) -> PairTable:
@@ -279,12 +292,24 @@ def _pairs(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row], l
     heads = {"match": "match", "a": "a", "b": "b", "result": "w-d-l", "created": "played", "watch": WATCH.title}
     found: dict[str, dict[str, list[list[str]]]] = {}
     for row in played:
-        if {row["a"], row["b"]} <= {*rows, *columns}:
-            own = found.setdefault(row["a"], {}).setdefault(row["b"], [])
+        for a, b, result in _met_in(row):
+            if not {a, b} <= {*rows, *columns}:
+                continue
+            own = found.setdefault(a, {}).setdefault(b, [])
             if len(own) < OF_A_PAIR:
-                own.append([str(row[key] or "") for key in heads])
+                own.append(
+                    [str(each or "") for each in ({**row, "a": a, "b": b, "result": result}[key] for key in heads)]
+                )
     name = f"Matches of a pair, counted for a, the newest {OF_A_PAIR} of each order"
     return PairTable(rows, columns, list(heads.values()), found, name, link_prefix)
+
+
+def _met_in(row: Row) -> list[tuple[str, str, str | None]]:
+    """Return the pairs that met in a match, with their result; in a lineup that is the mean ranks of all teams."""
+    if not row.get("lineup"):
+        return [(row["a"], row["b"], row["result"])]
+    names = dict.fromkeys(row["lineup"].split(", "))
+    return [(a, b, f"{row['lineup']}: {row['mean_ranks'] or ''}") for a, b in combinations(names, 2)]
 
 
 def _lineage(shown: Shown) -> Iterator[FigureBlock | TableBlock | str]:

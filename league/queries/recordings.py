@@ -1,6 +1,7 @@
 """Choice of a recorded match: by its number, the newest, between the best players, or the greatest upset."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,8 +11,9 @@ from matchmaking.ratings.ladder import Ladder
 from storage.errors import DamagedBlob, StorageError, Unavailable, UnknownName
 from storage.recordings.recording import Recording, RecordingError, RecordingHeader, from_bytes, headers
 from storage.recordings.salvage import salvage
-from storage.records import Match
+from storage.records import Match, RankedMatch
 
+AnyMatch = Match | RankedMatch
 NEAR = 5  # most numbers of other matches in the message about an unknown match
 
 
@@ -27,7 +29,7 @@ class RecordingQuery:
     player: str | None = None
 
 
-def chosen(opened: Open, query: RecordingQuery) -> Match:
+def chosen(opened: Open, query: RecordingQuery) -> AnyMatch:
     """Return the requested match. Raises StorageError, one line, if there is none of that kind."""
     if query.match is not None:
         return _numbered(opened, query.match)
@@ -42,20 +44,20 @@ def chosen(opened: Open, query: RecordingQuery) -> Match:
     return _upset(opened, found) if query.upset else _best(opened, found)
 
 
-def recorded(opened: Open) -> list[Match]:
+def recorded(opened: Open) -> list[AnyMatch]:
     """Return all recorded matches, oldest first. Raises StorageError if there is none."""
-    found = [m for m in opened.store.matches(opened.league) if m.recording is not None]
+    found = [m for m in opened.store.log(opened.league) if m.recording is not None]
     if not found:
         raise StorageError(f"League {opened.league} has no recorded match yet: `league run` plays and records some.")
     return found
 
 
-def following(opened: Open, poll: float = 1.0) -> Iterator[Match]:
+def following(opened: Open, poll: float = 1.0) -> Iterator[AnyMatch]:
     """Yield the newest recorded match, then each as it is filed, without end. Waits while the store is away."""
     last: int | None = None
     while True:
         with suppress(Unavailable):
-            new = [m for m in opened.store.matches(opened.league, after=last or 0) if m.recording is not None]
+            new = [m for m in opened.store.log(opened.league, after=last or 0) if m.recording is not None]
             for match in new if last is not None else new[-1:]:
                 last = match.id
                 yield match
@@ -63,7 +65,7 @@ def following(opened: Open, poll: float = 1.0) -> Iterator[Match]:
         time.sleep(poll)
 
 
-def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) -> tuple[Recording, str]:
+def load(opened: Open, match: AnyMatch, episode: int = 0, recover: bool = False) -> tuple[Recording, str]:
     """Load one recorded episode of a match, and a description of what is missing.
 
     With `recover`, the readable part of a damaged recording is loaded, and the text describes the missing part.
@@ -83,8 +85,8 @@ def load(opened: Open, match: Match, episode: int = 0, recover: bool = False) ->
         return salvage(error.data, episode)
 
 
-def _numbered(opened: Open, number: int) -> Match:
-    matches = opened.store.matches(opened.league)
+def _numbered(opened: Open, number: int) -> AnyMatch:
+    matches = opened.store.log(opened.league)
     found = next((m for m in matches if m.id == number), None)
     if found is not None and found.recording is not None:
         return found
@@ -96,7 +98,7 @@ def _numbered(opened: Open, number: int) -> Match:
     raise StorageError(f"{what}; recorded near it: {there or 'none'}. `league matches` lists all.")
 
 
-def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Match]:
+def _among(opened: Open, matches: list[AnyMatch], query: RecordingQuery) -> list[AnyMatch]:
     """Return the recorded matches of the named players or snapshots."""
     snapshots = {s.name: s for s in opened.store.snapshots(opened.league, brief=True)}
     for name in query.between:
@@ -107,10 +109,10 @@ def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Ma
         raise UnknownName("player", query.player, players)
     matches = _of_snapshots(matches) if query.between else matches
     of = {name: snapshot.player for name, snapshot in snapshots.items()}
-    between = sorted(query.between)
+    between = Counter(query.between)
     found = [
         m for m in matches
-        if between in ([], sorted(_sides(m))) and (query.player is None or query.player in map(of.get, _sides(m)))
+        if between <= Counter(m.players) and (query.player is None or query.player in map(of.get, m.players))
     ]  # fmt: skip
     if not found:
         who = " and ".join(query.between) or query.player
@@ -118,30 +120,30 @@ def _among(opened: Open, matches: list[Match], query: RecordingQuery) -> list[Ma
     return found
 
 
-def _of_snapshots(matches: Sequence[Match]) -> list[Match]:
+def _of_snapshots(matches: Sequence[AnyMatch]) -> list[AnyMatch]:
     """Return the matches between snapshots. In training matches, names of snapshots only stand for later policies."""
     return [m for m in matches if m.purpose != "training"]
 
 
-def _newest(opened: Open, matches: Sequence[Match]) -> Match:
+def _newest(opened: Open, matches: Sequence[AnyMatch]) -> AnyMatch:
     """Return the newest match between two snapshots of players, the later the older one was frozen; else any newest.
 
     The newest match of all is often one against a script or an old snapshot, which shows little of what was learnt.
     """
     frozen = {s.name: s.iteration for s in opened.store.snapshots(opened.league, brief=True) if s.player}
-    known = [m for m in matches if frozen.keys() >= set(_sides(m))]
-    return max(known, key=lambda m: (min(frozen[side] for side in _sides(m)), m.id)) if known else matches[-1]
+    known = [m for m in matches if frozen.keys() >= set(m.players)]
+    return max(known, key=lambda m: (min(frozen[side] for side in m.players), m.id)) if known else matches[-1]
 
 
-def _closest(matches: Sequence[Match]) -> Match:
+def _closest(matches: Sequence[AnyMatch]) -> Match:
     """Return the match between two snapshots whose score was nearest to one half, the newest of equals."""
-    rivals = [m for m in matches if m.b is not None and m.wins + m.draws + m.losses]
+    rivals = [m for m in matches if isinstance(m, Match) and m.b is not None and m.episodes]
     if not rivals:
         raise StorageError("No recorded match here has two sides, so none was close.")
-    return min(rivals, key=lambda m: (abs(m.wins - m.losses) / (m.wins + m.draws + m.losses), -m.id))
+    return min(rivals, key=lambda m: (abs(m.wins - m.losses) / m.episodes, -m.id))
 
 
-def _best(opened: Open, matches: Sequence[Match]) -> Match:
+def _best(opened: Open, matches: Sequence[AnyMatch]) -> AnyMatch:
     """Return the match whose weaker side has the best present rating, the newest of equals, in the newest arena."""
     key = matches[-1].arena  # Elo of two ladders cannot be compared
     ladder = opened.ladder(key)
@@ -150,13 +152,13 @@ def _best(opened: Open, matches: Sequence[Match]) -> Match:
         {s.name for s in opened.store.snapshots(opened.league, brief=True) if s.player},
     )
 
-    def interest(match: Match) -> tuple[bool, float, int]:
-        return learnt.issuperset(_sides(match)), min(map(strength, _sides(match))), match.id
+    def interest(match: AnyMatch) -> tuple[bool, float, int]:
+        return learnt.issuperset(match.players), min(map(strength, match.players)), match.id
 
     return max((m for m in matches if m.arena == key), key=interest)
 
 
-def _upset(opened: Open, matches: Sequence[Match]) -> Match:
+def _upset(opened: Open, matches: Sequence[AnyMatch]) -> Match:
     """Return the recorded match with the winner rated furthest below the loser, by the ratings known now."""
     key = matches[-1].arena
     ladder = opened.ladder(key)
@@ -165,12 +167,13 @@ def _upset(opened: Open, matches: Sequence[Match]) -> Match:
     def gap(match: Match) -> float:
         return abs(strength(match.a) - strength(str(match.b)))
 
-    rivals = [m for m in matches if m.arena == key and m.b is not None and ladder.known(m.a) and ladder.known(m.b)]
+    pairs = [m for m in matches if isinstance(m, Match) and m.b is not None and m.arena == key]
+    rivals = [m for m in pairs if all(map(ladder.known, m.players))]
     for match in sorted(rivals, key=gap, reverse=True):
         weaker_wins = match.wins if strength(match.a) < strength(str(match.b)) else match.losses
         if weaker_wins and gap(match) > 0:
             first = headers(opened.store.blobs.get(str(match.recording)))[0]
-            if _won(first) == min(_sides(match), key=strength):
+            if _won(first) == min(match.players, key=strength):
                 return match
     raise StorageError(f"In no recorded match of league {opened.league} the weaker side won, as far as they are rated.")
 
@@ -180,10 +183,6 @@ def _won(header: RecordingHeader) -> str | None:
     first = max(range(len(header.score)), key=header.score.__getitem__)
     even = header.outcome == "void" or header.score.count(header.score[first]) > 1
     return None if even else header.sides[first]
-
-
-def _sides(match: Match) -> list[str]:
-    return [side for side in (match.a, match.b) if side is not None]
 
 
 def _strength(ladder: Ladder) -> Callable[[str], float]:

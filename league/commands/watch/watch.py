@@ -12,7 +12,7 @@ from league.config.schema import ConfigError
 from league.queries.match_players import players_of
 from league.queries.recordings import RecordingQuery, chosen, following, load
 from storage.recordings.recording import Recording
-from storage.records import Match
+from storage.records import Match, RankedMatch
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _follow(options: WatchOptions) -> int:
     return 0
 
 
-def describe(match: Match, recording: Recording) -> str:
+def describe(match: Match | RankedMatch, recording: Recording) -> str:
     """Describe a match in a line."""
     header = recording.header
     what = "Training" if match.purpose == "training" else "Match"
