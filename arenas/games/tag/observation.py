@@ -1,6 +1,6 @@
-"""Observations in tag, of a puck in the world's frame. The others are in the order of their distance, nearest first.
+"""Observations in tag, of a puck in the world's frame: itself, the one that is "it", and all others, nearest first.
 
-Thus nobody is known by its team, and pucks can change places: each then sees what the other saw.
+Nobody is known by its team, so that pucks can change places: each then sees what the other saw.
 """
 
 from typing import NamedTuple
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from arenas.description import Part
-from arenas.games.tag.settings import OTHER_SIZE, OWN_SIZE
+from arenas.games.tag.settings import IT_SIZE, OTHER_SIZE, OWN_SIZE
 
 
 class TagView(NamedTuple):
@@ -18,9 +18,9 @@ class TagView(NamedTuple):
     velocity: Array  # (2,)
     position: Array  # (2,)
     is_it: Array  # ()
+    it: Array  # (2,) vector to "it", zeros if it is itself
+    it_velocity: Array  # (2,)
     gaps: Array  # (others, 2)
-    velocities: Array  # (others, 2)
-    others_it: Array  # (others,)
 
 
 def parts(others: int) -> tuple[Part, ...]:
@@ -28,13 +28,14 @@ def parts(others: int) -> tuple[Part, ...]:
     own = (
         Part("velocity", 2, "m/s", "its own, along the world's x and y, as all that follows"),
         Part("position", 2, "m", "its own, from the middle of the field"),
-        Part("it", 1, "", '1 if it is "it", else 0'),
+        Part("is it", 1, "", '1 if it is "it", else 0'),
         Part("time as it", 1, "", 'share of the episode in which it was "it"'),
         Part("immunity", 1, "", "share of the immunity that remains"),
         Part("time", 1, "", "share of the episode that has passed"),
+        Part("it", IT_SIZE, "m, m/s", 'vector to the puck that is "it", and its velocity; zeros if it is itself'),
     )
     return own + tuple(
-        Part(name, OTHER_SIZE, "m, m/s, 1", f'vector to the {name} and its velocity; 1 if it is "it"; its time as it')
+        Part(name, OTHER_SIZE, "m, m/s, 1", "vector to it, its velocity, and its time as it")
         for name in (f"{_ordinal(i)} other" for i in range(others))
     )
 
@@ -56,16 +57,15 @@ def observe(i: int, xy: Array, velocity: Array, it: Array, held: Array, immunity
     order = jnp.argsort(jnp.sum(gaps**2, axis=-1))
     others, gaps = others[order], gaps[order]
     own = jnp.stack([1.0 * (it == i), held[i], immunity, time])
-    seen = jnp.concatenate([gaps, velocity[others], 1.0 * (others == it)[:, None], held[others][:, None]], axis=-1)
-    return jnp.concatenate([velocity[i], xy[i], own, seen.ravel()])
+    chased = jnp.where(it == i, 0.0, jnp.concatenate([xy[it] - xy[i], velocity[it]]))
+    seen = jnp.concatenate([gaps, velocity[others], held[others][:, None]], axis=-1)
+    return jnp.concatenate([velocity[i], xy[i], own, chased, seen.ravel()])
 
 
 def read(observation: Array) -> TagView:
     """Split an observation into its parts."""
-    others = observation[OWN_SIZE:].reshape(-1, OTHER_SIZE)
-    return TagView(
-        observation[:2], observation[2:4], observation[4], others[:, :2], others[:, 2:4], others[:, 4]
-    )  # fmt: skip
+    it, others = observation[OWN_SIZE : OWN_SIZE + IT_SIZE], observation[OWN_SIZE + IT_SIZE :].reshape(-1, OTHER_SIZE)
+    return TagView(observation[:2], observation[2:4], observation[4], it[:2], it[2:], others[:, :2])
 
 
 def _ordinal(i: int) -> str:

@@ -27,9 +27,8 @@ def of_game(rules: TagRules) -> Mapping[str, Mapping[str, Script]]:
     """Return the scripts by name and robot kind."""
 
     def chase(view: TagView) -> Array:
-        it = jnp.argmax(view.others_it)
-        away = jnp.sqrt(jnp.sum(view.gaps[it] ** 2))
-        return _unit(view.gaps[it] + view.velocities[it] * jnp.minimum(away / rules.speed, LEAD))
+        away = jnp.sqrt(jnp.sum(view.it**2))
+        return _unit(view.it + view.it_velocity * jnp.minimum(away / rules.speed, LEAD))
 
     def flee(view: TagView) -> Array:
         room = rules.side / 2 - rules.radius

@@ -18,7 +18,8 @@ TEAMS = ("blue", "red", "green", "yellow", "purple", "orange", "grey", "white")
 KIND = "puck"
 ACTION_SIZE = 2  # numbers in an action
 OWN_SIZE = 8  # numbers that a puck observes of itself and of the game
-OTHER_SIZE = 6  # numbers that it observes of each other puck
+IT_SIZE = 4  # numbers that it observes of the puck that is "it"
+OTHER_SIZE = 5  # numbers that it observes of each other puck
 START = (0.25, 0.4)  # least and largest distance from the middle at the start, as shares of the side
 
 
@@ -48,9 +49,9 @@ class TagReward(RewardTerms):
 
     rank: float = 1.0
     """At the end: to the first; the last gets its negative, and those between them equal steps."""
-    it: float = 0.1
+    it: float = 0.2
     """Per second: to the puck that is "it"; the others share the loss."""
-    approach: float = 0.3
+    approach: float = 0.5
     """Shaping: to "it" per metre that it gained on the nearest other puck; to the others per metre by which they
     approached it."""
 
@@ -86,7 +87,7 @@ class TagSettings(WithTerms):
     @property
     def observation_size(self) -> int:
         """Numbers that each puck observes: see `arenas/games/tag/observation.py`."""
-        return OWN_SIZE + OTHER_SIZE * (self.teams - 1)
+        return OWN_SIZE + IT_SIZE + OTHER_SIZE * (self.teams - 1)
 
     def outline(self) -> Outline:
         """Summarise the game."""

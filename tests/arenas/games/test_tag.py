@@ -69,7 +69,7 @@ def test_the_puck_that_is_it_is_paid_for_the_step_by_the_others(tag):
     game, verdict = judged(tag, state(it=2, held=(4, 0, 9)))
     assert game.held.tolist() == [4, 0, 10]
     np.testing.assert_allclose(verdict.score, [4 * STEP, 0.0, 10 * STEP], rtol=1e-6)
-    np.testing.assert_allclose(verdict.rewards["it"], [-0.1 * STEP / 2, -0.1 * STEP / 2, 0.1 * STEP], rtol=1e-6)
+    np.testing.assert_allclose(verdict.rewards["it"], [-0.2 * STEP / 2, -0.2 * STEP / 2, 0.2 * STEP], rtol=1e-6)
     assert not verdict.terminated
     assert not verdict.rewards["rank"].any()
 
@@ -89,7 +89,7 @@ def test_the_longest_time_wins_at_the_end_and_equal_times_tie(tag, held, rank):
 def test_a_hint_is_given_for_metres_nearer_to_it_and_for_those_gained_on_the_nearest(tag):
     before = {"blue/0": (0.0, 0.0), "red/0": (0.9, 0.0), "green/0": (0.0, -0.7)}
     _, verdict = judged(tag, state(it=0), before=before)  # red gets 0.1 m farther away, green 0.1 m nearer
-    np.testing.assert_allclose(verdict.shapings["approach"], [-0.03, -0.03, 0.03], atol=1e-6)
+    np.testing.assert_allclose(verdict.shapings["approach"], [-0.05, -0.05, 0.05], atol=1e-6)
 
 
 def test_a_game_without_a_touch_is_won_by_the_first_it_alone(tag):
@@ -111,8 +111,11 @@ def test_the_others_are_seen_nearest_first_and_not_by_their_team():
     xy, velocity = jnp.array([[0.0, 0.0], [1.0, 0.0], [0.0, -0.5]]), jnp.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]])
     seen = read(observe(0, xy, velocity, jnp.int32(1), jnp.array([0.0, 0.3, 0.1]), jnp.array(0.5), jnp.array(0.25)))
     np.testing.assert_allclose(seen.gaps, [[0.0, -0.5], [1.0, 0.0]])
-    np.testing.assert_allclose(seen.velocities, [[0.0, 3.0], [2.0, 0.0]])
-    assert (float(seen.is_it), seen.others_it.tolist()) == (0.0, [0.0, 1.0])
+    np.testing.assert_allclose([seen.it, seen.it_velocity], [[1.0, 0.0], [2.0, 0.0]])
+    own = read(observe(1, xy, velocity, jnp.int32(1), jnp.array([0.0, 0.3, 0.1]), jnp.array(0.5), jnp.array(0.25)))
+    assert (float(seen.is_it), float(own.is_it)) == (0.0, 1.0)
+    assert not own.it.any()
+    assert not own.it_velocity.any()
 
 
 class Favoured(Tag):
@@ -129,7 +132,7 @@ class ByTeam(Tag):
     def observe(self, physics, game, actions):
         xy = physics.qpos[self._xy]
         found = super().observe(physics, game, actions)
-        return {agent: found[agent].at[8:10].set(xy[(i + 1) % 3] - xy[i]) for i, agent in enumerate(self.robots)}
+        return {agent: found[agent].at[12:14].set(xy[(i + 1) % 3] - xy[i]) for i, agent in enumerate(self.robots)}
 
 
 SHORT = TagSettings(rules=TagRules(episode=1.0, immunity=0.2))

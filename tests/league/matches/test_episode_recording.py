@@ -105,5 +105,5 @@ def test_a_void_episode_says_so_and_numbers_that_are_none_touch_nobody(arena):
     ],
 )
 def test_the_outcome_of_three_teams_names_who_is_ahead(score, outcome):
-    sides = [Snapshot("tiny", name, name, "puck:20:2") for name in "pqr"]
+    sides = [Snapshot("tiny", name, name, "puck:22:2") for name in "pqr"]
     assert _outcome(np.array(score), False, sides, ("blue", "red", "green")) == outcome

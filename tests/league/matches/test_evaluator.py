@@ -164,7 +164,7 @@ def test_a_referee_keeps_no_more_policies_in_memory_than_it_may(tmp_path):
 
 # Three teams ----------------------------------------------------------------------------------------------------------
 
-P, Q, R = (Snapshot("tiny", name, f"digest of {name}", "puck:20:2") for name in "pqr")
+P, Q, R = (Snapshot("tiny", name, f"digest of {name}", "puck:22:2") for name in "pqr")
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def test_a_lineup_of_three_plays_in_its_three_rotations_from_the_same_seeds(thre
     assert (keys[0] == keys[1]).all()
     assert (keys[0] == keys[2]).all()
     assert len(np.unique(keys[[0, 3, 4, 5]].reshape(8, -1), axis=0)) == 8  # equal seatings repeat no seed
-    with pytest.raises(StorageError, match=r"p \(puck:20:2\) and q \(puck:20:2\) and a \(leatherback:20:2\) cannot"):
+    with pytest.raises(StorageError, match=r"p \(puck:22:2\) and q \(puck:22:2\) and a \(leatherback:20:2\) cannot"):
         three.side_orders(P, Q, A)
 
 
