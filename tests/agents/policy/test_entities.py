@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 import torch
 
+from agents.learner.happo import HappoLearner
 from agents.policy.constant_inputs import silence_constant_inputs
 from agents.policy.entities import own_numbers
 from agents.policy.jax_policy import distribution, policy_params
 from agents.policy.networks import Actor
-from agents.settings import Architecture
+from agents.settings import Architecture, HappoConfig
 
 SETS = (((2, 3), (4, 5), (6, 7)), ((8, 10), (9, 11)))  # the second by columns
 SIZE = 12
@@ -124,3 +125,22 @@ def test_own_numbers_are_all_others():
     assert own_numbers(SIZE, SETS) == [0, 1]
     assert own_numbers(3, ()) == [0, 1, 2]
     assert "trunk.own" not in Actor(SIZE, 2, Architecture(), 0.5, SETS).state_dict()
+
+
+def learner(sets) -> HappoLearner:
+    config = HappoConfig(Architecture((8,), entities=4))
+    return HappoLearner((SIZE,), (2,), config, seed=1, entities=[sets])
+
+
+def test_a_learner_keeps_its_sets_and_refuses_others():
+    one, other = learner(SETS), learner(SETS)
+    assert [name for name in one.export()[0] if name.endswith(".index")] == [
+        "trunk.entities.0.index", "trunk.entities.1.index",
+    ]  # fmt: skip
+    assert len(one.critic_learners[0].network.trunk.entities) == 2
+    one.reseed(5)
+    other.load(one.save())
+    for name, values in one.export()[0].items():
+        np.testing.assert_array_equal(other.export()[0][name], values, err_msg=name)
+    with pytest.raises(ValueError, match="index"):
+        learner((SETS[0][::-1], SETS[1])).load(one.save())
