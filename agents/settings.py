@@ -45,6 +45,10 @@ class Architecture:
     """Limit c of actions, which are then c times tanh(Gaussian / c), within ±c (none: the Gaussian sample itself)."""
     state_std: bool = False
     """Let the network output the standard deviation of actions instead of using one value for all observations."""
+    entities: int = field(default=0, metadata={"low": 0, "high": 8192})
+    """Width of the encoder of each set of entities that an arena's observations declare: one encoder for all entities
+    of a set, whose masked mean and maximum replace them, so that their order has no effect (0: they are numbers like
+    all others)."""
     recurrent: int = field(default=0, metadata={"low": 0, "high": 8192})
     """Units of a GRU between the hidden layers and the last layer; its hidden state covers the episode so far (0: no
     GRU)."""

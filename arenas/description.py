@@ -22,6 +22,21 @@ class Part(NamedTuple):
     opponent: bool = False  # the numbers are about the other team: `league exploit --mask-opponent` freezes them
 
 
+class Entities(NamedTuple):
+    """A set of like things in an observation, whose order has no meaning: others, obstacles, ...
+
+    An entity that is not there has zeros in all its places.
+    """
+
+    name: str
+    index: tuple[tuple[int, ...], ...]  # for each entity the places of its numbers, alike in meaning and order
+
+
+def entity_places(first: int, count: int, size: int) -> tuple[tuple[int, ...], ...]:
+    """Return the places of `count` entities of `size` numbers each, one after the other from `first` on."""
+    return tuple(tuple(range(first + i * size, first + (i + 1) * size)) for i in range(count))
+
+
 @dataclass(frozen=True)
 class Legend:
     """Description of a game's verdicts, by the names that the verdict uses. An empty legend describes nothing.

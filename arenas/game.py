@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from arenas.arena_settings import EngineOptions, Solver, Timing
-from arenas.description import Legend, Part, total_size
+from arenas.description import Entities, Legend, Part, total_size
 from arenas.errors import ArenaError
 from arenas.physics.engine import Engine, Physics
 from arenas.physics.registry import make_engine
@@ -194,6 +194,10 @@ class Game(ABC):
         """Describe the numbers of an agent's observation, in their order. Empty if they have no names."""
         return ()
 
+    def observation_entities(self, agent: str) -> tuple[Entities, ...]:
+        """Name the sets of like things in an agent's observation, for networks that encode them as sets."""
+        return ()
+
     def legend(self) -> Legend:
         """Describe the verdicts' terms, events and score."""
         return Legend()
@@ -270,7 +274,8 @@ class Game(ABC):
 
     def _spec(self, agent: str) -> AgentSpec:
         robot = self.robots[agent]
-        return AgentSpec(agent, robot.kind, self.observation_size(agent), robot.action_size)
+        size = self.observation_size(agent)
+        return AgentSpec(agent, robot.kind, size, robot.action_size, self.observation_entities(agent))
 
     @cached_property
     def _privileged_reader(self) -> PrivilegedState:

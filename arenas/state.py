@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from arenas.description import Entities
 from arenas.physics.engine import Physics
 from arenas.rosters import AgentSizes, roster_text
 
@@ -24,6 +25,7 @@ class AgentSpec:
     kind: str
     observation_size: int
     action_size: int
+    entities: tuple[Entities, ...] = ()  # sets of like things in its observation
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from agents.learner.actor_learner import ActorLearner
 from agents.learner.checkpoint import State
 from agents.learner.critic_learner import CriticLearner
 from agents.learner.trust_region import TrustRegionLearner
+from agents.policy.entities import Index
 from agents.policy.networks import Actor, Critic
 from agents.settings import HappoConfig
 
@@ -30,6 +31,7 @@ class LearnerSpec(NamedTuple):
     kinds: tuple[str, ...]
     others: tuple[int, ...]
     critic_size: int
+    entities: tuple[tuple[Index, ...], ...] = ()
 
 
 class LearnerState:
@@ -37,7 +39,8 @@ class LearnerState:
 
     `kinds` are the agents' robots; agents of one kind and equal sizes are equal. Without `kinds` all are of one kind.
     `others` are the observation sizes of the other teams' agents, in the order of batches. `critic_size` is the size of
-    the critic's input where that is not observations in this order (critic_input privileged, same). `comm` connects the
+    the critic's input where that is not observations in this order (critic_input privileged, same). `entities` are the
+    sets of entities of each agent's observation, which networks encode if the architecture says so. `comm` connects the
     ranks that hold this learner; each updates it from batches of its own, all of one shape.
     """
 
@@ -51,12 +54,14 @@ class LearnerState:
         kinds: Sequence[str] = (),
         others: Sequence[int] = (),
         critic_size: int = 0,
+        entities: Sequence[Sequence[Index]] = (),
         comm: Communicator = SINGLE_PROCESS,
     ):
         self.config = c = config
         self.comm = comm
         sizes = tuple(observation_sizes), tuple(action_sizes)
-        self._spec = LearnerSpec(*sizes, config, seed, device, tuple(kinds), tuple(others), critic_size)
+        sets = [tuple(each) for each in entities] or [()] * len(observation_sizes)
+        self._spec = LearnerSpec(*sizes, config, seed, device, tuple(kinds), tuple(others), critic_size, tuple(sets))
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
@@ -71,11 +76,16 @@ class LearnerState:
         own_sizes = [sum(observation_sizes[i] for i in agents) for agents in critic_agents]
         with torch.random.fork_rng(devices=[]):  # nn.init draws from the global generator, which must not change
             torch.manual_seed(seed)
-            actors = [Actor(*equal[owner][1:], arch, c.initial_std).to(self.device) for owner in owners]
+            actors = [Actor(*equal[owner][1:], arch, c.initial_std, sets[owner]).to(self.device) for owner in owners]
             more = others if c.critic_input == "all" else ()
             of_observations = c.critic_input in ("own", "all")
             inputs = [[size, *more] if of_observations else [critic_size] for size in own_sizes]
-            critics = [Critic(sizes, arch).to(self.device) for sizes in inputs]
+            of_team = [_entities_of_team(observation_sizes, sets, agents) for agents in critic_agents]
+            own_only = c.critic_input == "own"  # other inputs may hold an entity twice
+            critics = [
+                Critic(sizes, arch, found if own_only else ()).to(self.device)
+                for sizes, found in zip(inputs, of_team, strict=True)
+            ]
         kind = TrustRegionLearner if c.method == "hatrpo" else ActorLearner
         self.actor_learners = [
             kind(actor, [i for i in range(n) if self.actor_owners[i] == owner], c, comm)
@@ -126,7 +136,7 @@ class LearnerState:
         then nothing has changed.
         """
         tensors, state = self._tensors(), checkpoint.upgrade_state(state)
-        fixed = [k for k in tensors if k.endswith((".activation", ".squash")) or k == "sharing"]
+        fixed = [k for k in tensors if k.endswith((".activation", ".squash", ".index", ".own")) or k == "sharing"]
         checkpoint.read(tensors, fixed, self.rng, state)
 
     def warm_start(
@@ -171,6 +181,17 @@ class LearnerState:
     def _check_state(self) -> None:
         """Raise Diverged if weights, Adam's moments or normalisers are not finite."""
         checkpoint.check_finite(self._tensors())
+
+
+def _entities_of_team(
+    sizes: Sequence[int], sets: Sequence[Sequence[Index]], agents: Sequence[int]
+) -> list[list[list[int]]]:
+    """Return the sets of entities in the observations of these agents, one agent's after the other's."""
+    found, first = [], 0
+    for agent in agents:
+        found += [[[first + place for place in entity] for entity in index] for index in sets[agent]]
+        first += sizes[agent]
+    return found
 
 
 def check_ranks_agree(learners: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ stay.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,13 @@ def silence_constant_inputs(arrays: Mapping[str, np.ndarray], of: str = "") -> d
     constant, new = is_constant(arrays, of), dict(arrays)
     variance, weights = f"{of}trunk.observation_var", f"{of}trunk.hidden.0.weight"
     new[variance] = np.where(constant, np.ones_like(arrays[variance]), arrays[variance])
-    if not has_input_norm(arrays, of):
-        new[weights] = np.where(constant, np.zeros_like(arrays[weights]), arrays[weights])
+    own = np.asarray(arrays.get(f"{of}trunk.own", np.arange(len(constant))))
+    firsts: list[tuple[str, Any]] = [] if has_input_norm(arrays, of) else [(weights, constant[own])]
+    for index in (name for name in arrays if name.startswith(f"{of}trunk.entities.") and name.endswith(".index")):
+        of_set = constant[np.asarray(arrays[index])].all(axis=0)  # entities of a set share their statistics
+        firsts.append((f"{index.removesuffix('index')}layers.0.weight", of_set))
+    for name, still in firsts:
+        silent = np.array(arrays[name])
+        silent[:, : len(still)][:, still] = 0.0
+        new[name] = silent
     return new

@@ -157,6 +157,8 @@ def _trunk(params: Params, observations: Array) -> Array:
         jnp.maximum(params["trunk.observation_var"], VARIANCE_FLOOR)
     )
     x = jnp.clip(x, -params["trunk.observation_clip"], params["trunk.observation_clip"])
+    if "trunk.own" in params:
+        x = _encode_entities(params, observations, x)
     x = _layer_norm(params, "trunk.norm.0", x)
     layers = sum(name.startswith("trunk.hidden.") and name.endswith(".weight") for name in params)
     for i in range(layers):
@@ -164,6 +166,24 @@ def _trunk(params: Params, observations: Array) -> Array:
         x = jax.lax.switch(params["activation"], _ACTIVATIONS, x)
         x = _layer_norm(params, f"trunk.norm.{i + 1}", x)
     return x
+
+
+def _encode_entities(params: Params, observations: Array, x: Array) -> Array:
+    """Return own numbers and each set's mean and maximum, as `agents.policy.entities`, of normalised x (n, obs)."""
+    found = [x[:, params["trunk.own"]]]
+    for i in range(sum(name.endswith(".index") for name in params)):
+        index = params[f"trunk.entities.{i}.index"]
+        there = (observations[:, index] != 0).any(axis=-1, keepdims=True)
+        rows = jnp.where(there, x[:, index], 0.0)
+        there = (rows != 0).any(axis=-1, keepdims=True)
+        for layer in range(2):
+            name = f"trunk.entities.{i}.layers.{layer}"
+            rows = _linear(rows, params[f"{name}.weight"], params[f"{name}.bias"])
+            rows = jax.lax.switch(params["activation"], _ACTIVATIONS, rows)
+        found.append(jnp.where(there, rows, 0.0).sum(axis=1) / jnp.maximum(there.sum(axis=1), 1))
+        most = jnp.where(there, rows, jnp.finfo(rows.dtype).min).max(axis=1)
+        found.append(jnp.where(there.any(axis=1), most, 0.0))
+    return jnp.concatenate(found, axis=-1)
 
 
 def _memory_size(params: Params) -> int:

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 from agents.batch import Normalised, Sequences
+from agents.policy.entities import EntityEncoder, Index, own_numbers
 from agents.policy.tanh import tanh
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
 
@@ -35,10 +36,19 @@ class Trunk(nn.Module):
     observation_var: Tensor  # (n,)
     observation_clip: Tensor  # () clip limit of normalised observations
 
-    def __init__(self, size: int, architecture: Architecture):
+    own: Tensor  # (m,) int32: places of the numbers that belong to no entity; missing without entities
+
+    def __init__(self, size: int, architecture: Architecture, entities: Sequence[Index] = ()):
         super().__init__()
-        widths = (size, *architecture.hidden)
-        self._apply_activation = _APPLY[architecture.activation]
+        sets, encoded = (entities if architecture.entities else ()), size
+        activation, gain = _APPLY[architecture.activation], _GAIN[architecture.activation]
+        self.entities = nn.ModuleList(EntityEncoder(each, architecture.entities, activation, gain) for each in sets)
+        if sets:
+            own = own_numbers(size, sets)
+            self.register_buffer("own", torch.tensor(own, dtype=torch.int32))
+            encoded = len(own) + 2 * architecture.entities * len(sets)
+        widths = (encoded, *architecture.hidden)
+        self._apply_activation = activation
         layers = [nn.Linear(a, b) for a, b in pairwise(widths)]
         self.hidden = nn.ModuleList(layers)
         self.norm = nn.ModuleList(nn.LayerNorm(w) for w in widths if architecture.layer_norm)
@@ -51,12 +61,17 @@ class Trunk(nn.Module):
 
     def normalised(self, x: Tensor) -> Normalised:
         """Normalise observations by the statistics of all observations so far, and clip them."""
-        x = (x - self.observation_mean) / self._deviation(self.observation_var)
-        return Normalised(x.clamp(-self.observation_clip, self.observation_clip))
+        values = (x - self.observation_mean) / self._deviation(self.observation_var)
+        values = values.clamp(-self.observation_clip, self.observation_clip)
+        for encoder in self._encoders():
+            values = encoder.without_absent(x, values)
+        return Normalised(values)
 
     def forward(self, x: Tensor | Normalised) -> Tensor:
         """Return features of observations."""
         seen = (x if isinstance(x, Normalised) else self.normalised(x)).values
+        if self.entities:
+            seen = torch.cat([seen[..., self.own], *(encoder(seen) for encoder in self._encoders())], -1)
         features: Tensor = self.norm[0](seen) if self.norm else seen
         for i, layer in enumerate(self.hidden):
             features = self._apply_activation(layer(features))
@@ -72,16 +87,27 @@ class Trunk(nn.Module):
         policy, strongly so when it continues in another arena. Behind a LayerNorm of the input no weights can
         compensate. Nor can they where inputs are clipped: an input that has hardly varied so far is clipped as soon as
         it varies, and its weights, which had next to no effect, would then have a hundred times as much. Such weights
-        stay unchanged.
+        stay unchanged. All entities of a set have the statistics of the set.
         """
+        for encoder in self._encoders():
+            mean, var = encoder.pooled(mean, var)
+        before, now = self._deviation(self.observation_var), self._deviation(var)
+        new = ~known | (self.observation_var < VARIANCE_FLOOR)
+        moved = ((mean - self.observation_mean) / before).masked_fill(new, 0.0)
+        scale = (now / before).masked_fill(new, 1.0)
+        firsts = [(encoder.layers[0], encoder.index[0]) for encoder in self._encoders()]
         if not self.norm:
-            layer, before, now = self.hidden[0], self._deviation(self.observation_var), self._deviation(var)
+            firsts.append((self.hidden[0], self.own if self.entities else torch.arange(len(mean), device=mean.device)))
+        for layer, places in firsts:
             assert isinstance(layer, nn.Linear)
-            new = ~known | (self.observation_var < VARIANCE_FLOOR)
-            layer.bias.add_(layer.weight @ ((mean - self.observation_mean) / before).masked_fill(new, 0.0))
-            layer.weight.mul_((now / before).masked_fill(new, 1.0))
+            of_inputs = layer.weight[:, : len(places)]  # a view; features of entities follow
+            layer.bias.add_(of_inputs @ moved[places])
+            of_inputs.mul_(scale[places])
         self.observation_mean.copy_(mean)
         self.observation_var.copy_(var)
+
+    def _encoders(self) -> list[EntityEncoder]:
+        return [encoder for encoder in self.entities if isinstance(encoder, EntityEncoder)]
 
     @staticmethod
     def _deviation(var: Tensor) -> Tensor:
@@ -130,9 +156,9 @@ class GRU(nn.Module):
 class Network(nn.Module):
     """Trunk and, if the architecture is recurrent, a GRU after it. A recurrent network takes `Sequences`."""
 
-    def __init__(self, size: int, architecture: Architecture):
+    def __init__(self, size: int, architecture: Architecture, entities: Sequence[Index] = ()):
         super().__init__()
-        self.trunk = Trunk(size, architecture)
+        self.trunk = Trunk(size, architecture, entities)
         self.width = architecture.recurrent or architecture.hidden[-1]  # input size of the last layer
         recurrent, layer_norm = architecture.recurrent, architecture.layer_norm
         self.gru = GRU(architecture.hidden[-1], recurrent, layer_norm) if recurrent else None
@@ -185,8 +211,11 @@ class Actor(Network):
     nodes: Tensor  # (QUADRATURE_NODES,) of a standard normal variable, for the entropy of squashed actions
     weights: Tensor  # (NODES,) and how much each counts
 
-    def __init__(self, observation_size: int, action_size: int, architecture: Architecture, initial_std: float):
-        super().__init__(observation_size, architecture)
+    def __init__(
+        self, observation_size: int, action_size: int, architecture: Architecture, initial_std: float,
+        entities: Sequence[Index] = (),
+    ):  # fmt: skip
+        super().__init__(observation_size, architecture, entities)
         self.mean = nn.Linear(self.width, action_size)
         if architecture.state_std:
             self.deviation = nn.Linear(self.width, action_size)
@@ -249,8 +278,8 @@ class SquashedGaussian:
 class Critic(Network):
     """A team's value function, in normalised units (see ValueNorm), of inputs such as its agents' observations."""
 
-    def __init__(self, sizes: Sequence[int], architecture: Architecture):
-        super().__init__(sum(sizes), architecture)
+    def __init__(self, sizes: Sequence[int], architecture: Architecture, entities: Sequence[Index] = ()):
+        super().__init__(sum(sizes), architecture, entities)
         self.value = nn.Linear(self.width, 1)
         nn.init.orthogonal_(self.value.weight, 1.0)
         nn.init.zeros_(self.value.bias)

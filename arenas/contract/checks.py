@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from arenas.arena import Arena
-from arenas.contract import exchange_check
+from arenas.contract import entity_check, exchange_check
 from arenas.contract.check_run import CLOSE, RECORDED, WORLDS, CheckRun, arrays_of, difference
 from arenas.errors import ArenaError
 
@@ -197,6 +197,9 @@ def _voided(run: CheckRun, after: Any, broken: np.ndarray, what: str) -> str:
     begun = run.restart(after, run.keys, after.void)
     others = difference(arrays_of(after, ~broken), arrays_of(run.second, ~broken))
     return others or difference(arrays_of(begun, broken), arrays_of(run.first, broken), 1e-5)
+
+
+CHECKS["entities are sets: their order means nothing to scripts"] = entity_check.problem
 
 
 @check("scripts return finite actions of the right size")

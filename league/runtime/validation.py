@@ -50,6 +50,7 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     _validate_opponents(config, arena)
     _validate_players(config, teams)
     _validate_ladder(config, arena)
+    _validate_entities(config, arena)
     _validate_pbt(config, teams)
     _validate_learners(config, arena)
     _validate_scripts(config, arena)
@@ -177,6 +178,14 @@ def _validate_ladder(config: Config, arena: "Arena") -> None:
                 f"ladder copies its group's {learner.name} here, whose widths are {literal(wanted)}; give both the same"
             )
             raise refuse(("players", str(i), "hidden"), own, message)
+
+
+def _validate_entities(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for networks that encode entities, where no observation has any."""
+    width = config.learner.architecture.entities
+    if width and not any(agent.entities for agent in arena.agents):
+        message = f"arena {arena.name} names no sets of entities in its observations; use 0"
+        raise refuse(("learner", "architecture", "entities"), width, message)
 
 
 def _validate_pbt(config: Config, teams: list[str]) -> None:

@@ -223,13 +223,15 @@ def agents_of(found: Mapping[str, np.ndarray], roster: str) -> list[dict[str, An
         kinds = "deviation.weight" in own, "squash" in own
         gru = own.get("gru.weight_hh")
         units = gru.shape[-1] if gru is not None and gru.ndim == 2 else 0
-        wanted = _shapes(sees, acts, hidden, normed, *kinds, units)
+        sets = _entity_sets(own, sees)
+        wanted = _shapes(sees, acts, hidden, normed, *kinds, units, sets)
         for name in sorted(own.keys() ^ wanted.keys()):
             raise ValueError(f"agent {number} has {'an unknown' if name in own else 'no'} parameter {name}")
         for name, shape in wanted.items():
             if own[name].shape != shape:
                 raise ValueError(f"agent {number}'s {name} has the shape {own[name].shape}, and {kind} needs {shape}")
-            if own[name].dtype != (np.int32 if name == "activation" else np.float32):
+            whole = name == "activation" or name.endswith((".index", ".own"))
+            if own[name].dtype != (np.int32 if whole else np.float32):
                 raise ValueError(f"agent {number}'s {name} is of type {own[name].dtype}")
             if not np.isfinite(own[name]).all():
                 raise ValueError(f"agent {number}'s {name} is not finite")
@@ -240,23 +242,48 @@ def agents_of(found: Mapping[str, np.ndarray], roster: str) -> list[dict[str, An
             "kind": kind, "observation": sees, "action": acts, "hidden": hidden,
             "activation": ACTIVATIONS[activation], "layer_norm": normed, "state_std": kinds[0],
             "squash": float(own["squash"]) if kinds[1] else None,
-        } | ({"recurrent": units} if units else {}))  # fmt: skip
+        } | ({"recurrent": units} if units else {}) | ({"entities": sets} if sets else {}))  # fmt: skip
     if unknown := sorted(found.keys() - used):
         raise ValueError(f"{unknown[0]} is a parameter of no agent of {roster}")
     return agents
 
 
+def _entity_sets(own: Mapping[str, np.ndarray], sees: int) -> list[list[int]]:
+    """Return entities, numbers of each, and the encoder's width of each set (agents/policy/entities.py).
+
+    Raises ValueError unless each of the `sees` places is in one entity or the agent's own.
+    """
+    found: list[list[int]] = []
+    places = [np.asarray(own.get("trunk.own", np.zeros(0, np.int32))).reshape(-1)]
+    while (index := own.get(f"trunk.entities.{len(found)}.index")) is not None:
+        weight = own.get(f"trunk.entities.{len(found)}.layers.0.weight")
+        if index.ndim != 2 or weight is None or weight.ndim != 2:
+            raise ValueError(f"entities {len(found)} are no set with an encoder")
+        found.append([*index.shape, weight.shape[0]])
+        places.append(index.reshape(-1))
+    if found and not np.array_equal(np.sort(np.concatenate(places)), np.arange(sees)):
+        raise ValueError("its entities and own numbers are not those of its observation")
+    return found
+
+
 def _shapes(
-    sees: int, acts: int, hidden: list[int], normed: bool, state_std: bool, squashed: bool, units: int
-) -> dict[str, tuple[int, ...]]:
+    sees: int, acts: int, hidden: list[int], normed: bool, state_std: bool, squashed: bool, units: int,
+    sets: list[list[int]],
+) -> dict[str, tuple[int, ...]]:  # fmt: skip
     """Return shapes of an actor's parameters (agents/policy/networks.py) by name; `units` of its GRU, 0 without one."""
-    widths = [sees, *hidden]
+    own = sees - sum(count * size for count, size, _ in sets)
+    widths = [own + 2 * sum(width for *_, width in sets), *hidden]
     last = units or widths[-1]
     shapes: dict[str, tuple[int, ...]] = {
         "activation": (), "std_scale": (),
         "mean.bias": (acts,), "mean.weight": (acts, last),
         "trunk.observation_mean": (sees,), "trunk.observation_var": (sees,), "trunk.observation_clip": (),
     }  # fmt: skip
+    shapes |= {"trunk.own": (own,)} if sets else {}
+    for i, (count, size, width) in enumerate(sets):
+        of_set = {"index": (count, size), "layers.0.weight": (width, size), "layers.1.weight": (width, width)}
+        of_set |= {"layers.0.bias": (width,), "layers.1.bias": (width,)}
+        shapes |= {f"trunk.entities.{i}.{name}": shape for name, shape in of_set.items()}
     deviation = {"deviation.bias": (acts,), "deviation.weight": (acts, last)}
     shapes |= deviation if state_std else {"std_logit": (acts,)}
     shapes |= {"squash": ()} if squashed else {}

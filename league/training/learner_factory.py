@@ -69,7 +69,8 @@ def _new_happo_learner(
     critic_size = {"privileged": sum(sizes[0]) + arena.privileged_size, "same": common_critic_size(arena.teams)}.get(
         sees, 0
     )
-    return HappoLearner(*sizes, settings, seed, config.training.device, kinds, other_sizes, critic_size, comm)
+    sets = [[each.index for each in a.entities] for a in agents]
+    return HappoLearner(*sizes, settings, seed, config.training.device, kinds, other_sizes, critic_size, sets, comm)
 
 
 def reset_learner(

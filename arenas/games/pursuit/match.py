@@ -24,7 +24,7 @@ from jax import Array
 
 from arenas.arena import Arena
 from arenas.arena_settings import EngineOptions, Solver
-from arenas.description import Legend, Part
+from arenas.description import Entities, Legend, Part
 from arenas.games.pursuit import scripts
 from arenas.games.pursuit.observation import ObservationBuilder, PlanarState
 from arenas.games.pursuit.settings import TEAMS, PursuitSettings
@@ -79,6 +79,10 @@ class Pursuit(Arena):
     def observation_parts(self, agent: str) -> tuple[Part, ...]:
         """Describe the observation, which depends on the role."""
         return self.observation_builder.parts(self.robots[agent].kind == "prey")
+
+    def observation_entities(self, agent: str) -> tuple[Entities, ...]:
+        """Name pillars, predators and prey as sets."""
+        return self.observation_builder.entities(self.robots[agent].kind == "prey")
 
     def legend(self) -> Legend:
         """Describe the verdict; the notes of the weights describe the terms."""

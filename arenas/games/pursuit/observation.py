@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from arenas.description import Part
+from arenas.description import Entities, Part, entity_places
 
 
 class PlanarState(NamedTuple):
@@ -64,6 +64,19 @@ class ObservationBuilder:
             Part("time", 1, "", "share of the episode that has passed"),
         )
         return tuple(part for part in parts if part.size)
+
+    def entities(self, preys: bool) -> tuple[Entities, ...]:
+        """Return the sets in the observation: pillars, predators, and prey with its place and velocity."""
+        predators, prey = self._others(preys)
+        hunters = 4 + 2 * self.pillars
+        hunted = hunters + 2 * predators
+        pairs = zip(entity_places(hunted, prey, 2), entity_places(hunted + 2 * prey, prey, 2), strict=True)
+        sets = (
+            Entities("pillars", entity_places(4, self.pillars, 2)),
+            Entities("predators", entity_places(hunters, predators, 2)),
+            Entities("prey", tuple(place + moving for place, moving in pairs)),
+        )
+        return tuple(each for each in sets if each.index)
 
     def observe(self, state: PlanarState, i: int) -> Array:
         """Return the observation of robot i."""

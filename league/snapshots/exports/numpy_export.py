@@ -36,9 +36,11 @@ def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
         f"p = {{k.partition('/')[2]: v for k, v in load_file({file!r}).items() if k.startswith('{number}/')}}",
         *([_LAYER_NORM] if normed else []),
         f"def act(x, {'h, ' if units else ''}noise=0.0):",
+        *(["    seen = x"] if agent.get("entities") else []),
         f"    deviation = np.sqrt(np.maximum(p['trunk.observation_var'], {VARIANCE_FLOOR}))",
         "    x = (x - p['trunk.observation_mean']) / deviation",
         "    x = np.clip(x, -p['trunk.observation_clip'], p['trunk.observation_clip'])",
+        *_entity_lines(agent),
         *(["    x = norm(x, 'trunk.norm.0')"] if normed else []),
         f"    for i in range({len(agent['hidden'])}):",
         "        x = x @ p[f'trunk.hidden.{i}.weight'].T + p[f'trunk.hidden.{i}.bias']",
@@ -58,3 +60,22 @@ def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
     if agent["squash"] is not None:
         answer = f"p['squash'] * np.clip(np.tanh(u / p['squash']), -{SQUASH_EDGE}, {SQUASH_EDGE})"
     return [*lines, f"    u = {drawn}", f"    return {answer}{', h' if units else ''}"]
+
+
+def _entity_lines(agent: Mapping[str, Any]) -> list[str]:
+    """Return the lines that encode sets of entities (`agents.policy.entities`)."""
+    if not (sets := agent.get("entities")):
+        return []
+    return [
+        f"    f = lambda x: {_ACTIVATION[agent['activation']]}",
+        "    parts = [x[:, p['trunk.own']]]",
+        f"    for e in (f'trunk.entities.{{i}}.' for i in range({len(sets)})):",
+        "        rows, there = (v[:, p[e + 'index']] for v in (x, seen))",
+        "        there = (there != 0).any(-1, keepdims=True)",
+        "        for i in range(2):",
+        "            rows = rows @ p[f'{e}layers.{i}.weight'].T + p[f'{e}layers.{i}.bias']",
+        "            rows = f(rows)",
+        "        some, most = there.any(1), np.where(there, rows, -np.inf).max(1)",
+        "        parts += [(rows * there).sum(1) / np.maximum(there.sum(1), 1), np.where(some, most, 0)]",
+        "    x = np.concatenate(parts, -1)",
+    ]

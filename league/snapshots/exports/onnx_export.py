@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 OPSET, IR_VERSION = 17, 8  # ONNX 1.12, of June 2022: the first with LayerNormalization
 EPSILON = 1e-5  # of LayerNorm in torch
+FAR = 1e30  # below all features of entities
 
 
 def onnx_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any], metadata: Mapping[str, str]) -> bytes:
@@ -94,6 +95,13 @@ class _Graph:
         scale, bias = self.parameter(f"{name}.weight"), self.parameter(f"{name}.bias")
         return self.node("LayerNormalization", x, scale, bias, axis=-1, epsilon=EPSILON)
 
+    def as_number(self, x: str) -> str:
+        """Return truth as 1.0 and 0.0."""
+        name = f"cast_{len(self.nodes)}"
+        kind = self._onnx.TensorProto.FLOAT
+        self.nodes.append(self._onnx.helper.make_node("Cast", [x], [name], name=f"{name}/node", to=kind))
+        return name
+
     def part(self, x: str, first: int, end: int) -> str:
         """Return some columns of a value."""
         axis = self.constant("axis", [1])
@@ -107,12 +115,41 @@ def _features(graph: _Graph, agent: Mapping[str, Any]) -> str:
     x = graph.node("Sub", "observations", graph.parameter("trunk.observation_mean"))
     x = graph.node("Div", x, graph.constant("observation_deviation", deviation))
     x = graph.node("Clip", x, graph.constant("least", -clip), graph.constant("most", clip))
+    if agent.get("entities"):
+        x = _encoded(graph, x, agent)
     x = graph.layer_norm(x, "trunk.norm.0")
     for i in range(len(agent["hidden"])):
         x = graph.linear(x, f"trunk.hidden.{i}.weight", f"trunk.hidden.{i}.bias")
         x = graph.node(agent["activation"].capitalize(), x)
         x = graph.layer_norm(x, f"trunk.norm.{i + 1}")
     return x
+
+
+def _encoded(graph: _Graph, x: str, agent: Mapping[str, Any]) -> str:
+    """Return own numbers, and mean and maximum of each set of entities; see `agents.policy.entities`."""
+    found = [graph.node("Gather", x, graph.constant("own", graph.arrays["trunk.own"].tolist()), axis=1)]
+    zero, one, far = (graph.constant(name, value) for name, value in (("zero", 0.0), ("one", 1.0), ("far", FAR)))
+    over = graph.constant("over_entities", [1])
+    for i, shape in enumerate(agent["entities"]):
+        name = f"trunk.entities.{i}"
+        places = graph.constant(f"places_{i}", graph.arrays[f"{name}.index"].reshape(-1).tolist())
+        rows_of = graph.constant(f"rows_{i}", [-1, *shape[:2]])
+        raw, rows = (
+            graph.node("Reshape", graph.node("Gather", each, places, axis=1), rows_of) for each in ("observations", x)
+        )
+        nothing = graph.node("Equal", graph.node("ReduceMax", graph.node("Abs", raw), axes=[2], keepdims=1), zero)
+        absent = graph.as_number(nothing)
+        there = graph.node("Sub", one, absent)
+        for layer in range(2):
+            weight = graph.constant(f"{name}.layers.{layer}.turned", graph.arrays[f"{name}.layers.{layer}.weight"].T)
+            rows = graph.node("Add", graph.node("MatMul", rows, weight), graph.parameter(f"{name}.layers.{layer}.bias"))
+            rows = graph.node(agent["activation"].capitalize(), rows)
+        known = graph.node("Mul", rows, there)
+        count = graph.node("Max", graph.node("ReduceSum", there, over, keepdims=0), one)
+        found.append(graph.node("Div", graph.node("ReduceSum", known, over, keepdims=0), count))
+        most = graph.node("ReduceMax", graph.node("Sub", known, graph.node("Mul", absent, far)), axes=[1], keepdims=0)
+        found.append(graph.node("Mul", most, graph.node("ReduceMax", there, axes=[1], keepdims=0)))
+    return graph.node("Concat", *found, axis=1)
 
 
 def _gru(graph: _Graph, x: str, units: int) -> str:

@@ -27,15 +27,58 @@ def torchscript_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]
     return data.getvalue()
 
 
+def _activated(x: Tensor, activation: str) -> Tensor:
+    """Apply an activation by its name."""
+    if activation == "tanh":
+        return torch.tanh(x)
+    if activation == "relu":
+        return torch.relu(x)
+    return nn.functional.elu(x)
+
+
+class _Encoder(nn.Module):
+    """Mean and maximum of one set of entities (`agents.policy.entities`)."""
+
+    index: Tensor  # (entities, numbers)
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], number: int, activation: str):
+        super().__init__()
+        name = f"trunk.entities.{number}"
+        self.activation = activation
+        self.register_buffer("index", torch.tensor(arrays[f"{name}.index"], dtype=torch.int64))
+        weights = [arrays[f"{name}.layers.{i}.weight"] for i in range(2)]
+        self.layers = nn.ModuleList(nn.Linear(weight.shape[1], weight.shape[0]) for weight in weights)
+        self.layers.load_state_dict({
+            key: torch.tensor(arrays[f"{name}.layers.{key}"]) for key in self.layers.state_dict()
+        })  # fmt: skip
+
+    def forward(self, observations: Tensor, x: Tensor) -> Tensor:
+        """Return the features (n, 2 width) of raw and of normalised observations (n, obs)."""
+        there = (observations[:, self.index] != 0).any(-1, keepdim=True)
+        rows = x[:, self.index]
+        for layer in self.layers:
+            rows = _activated(layer(rows), self.activation)
+        mean = (rows * there).sum(1) / there.sum(1).clamp(min=1)
+        most = rows.masked_fill(~there, -1e30).amax(1)
+        return torch.cat([mean, most.masked_fill(~there.any(1), 0.0)], -1)
+
+
 class _Policy(nn.Module):
     """The parts of a policy without its memory."""
 
     mean: Tensor  # (obs,) of observations
     deviation: Tensor  # (obs,)
+    own: Tensor  # places of the numbers that belong to no entity
 
     def __init__(self, arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]):
         super().__init__()
-        widths, normed, last = [agent["observation"], *agent["hidden"]], agent["layer_norm"], agent["hidden"][-1:]
+        sets: list[list[int]] = agent.get("entities", [])
+        own = arrays.get("trunk.own", np.arange(agent["observation"]))
+        widths, normed, last = [len(own), *agent["hidden"]], agent["layer_norm"], agent["hidden"][-1:]
+        widths[0] += 2 * sum(width for *_, width in sets)
+        self.sets = len(sets)
+        self.register_buffer("own", torch.tensor(own, dtype=torch.int64))
+        self.encoders = nn.ModuleList(_Encoder(arrays, i, agent["activation"]) for i in range(len(sets)))
         self.activation: str = agent["activation"]
         self.clip = float(arrays["trunk.observation_clip"])
         self.squash = float(agent["squash"] or 0.0)
@@ -66,16 +109,15 @@ class _Policy(nn.Module):
     def features(self, observations: Tensor) -> Tensor:
         """Return the output of the hidden layers."""
         x = ((observations - self.mean) / self.deviation).clamp(-self.clip, self.clip)
+        if self.sets > 0:
+            parts = [x[:, self.own]]
+            for encoder in self.encoders:
+                parts.append(encoder(observations, x))
+            x = torch.cat(parts, -1)
         x = self.first_norm(x)
         for layer, norm in zip(self.hidden, self.norms):  # noqa: B905  (TorchScript has no strict)
             x = layer(x)
-            if self.activation == "tanh":
-                x = torch.tanh(x)
-            elif self.activation == "relu":
-                x = torch.relu(x)
-            else:
-                x = nn.functional.elu(x)
-            x = norm(x)
+            x = norm(_activated(x, self.activation))
         return x
 
     def actions(self, x: Tensor, noise: Tensor) -> Tensor:

@@ -29,6 +29,8 @@ KINDS = {
     "relu and LayerNorm": {"activation": "relu", "layer_norm": True},
     "squashed": {"activation": "elu", "squash": 1.5, "state_std": True},
     "recurrent": {"recurrent": 5},
+    "a set": {"entities": 4},
+    "a set and recurrent": {"entities": 3, "activation": "elu", "layer_norm": True, "recurrent": 5},
     "squashed, recurrent": {"recurrent": 6, "squash": 2.0, "layer_norm": True, "state_std": True},
 }
 ROSTER = roster_text([AgentSizes("listener", 2, 1)])
@@ -38,7 +40,8 @@ EACH = 8  # worlds of each kind
 def scrambled(seed: int, **kind) -> dict[str, np.ndarray]:
     """A policy of which every number counts, those that normalise too."""
     torch.manual_seed(seed)
-    actor = Actor(2, 1, Architecture((7, 6), **kind), 0.8)
+    sets = [[[0], [1]]] if "recurrent" not in kind else [[[1]]]  # without numbers of its own, or with one
+    actor = Actor(2, 1, Architecture((7, 6), **kind), 0.8, sets)
     with torch.no_grad():
         for weights in actor.parameters():
             weights += 0.4 * torch.randn(weights.shape)
