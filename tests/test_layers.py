@@ -14,7 +14,7 @@ FOLDERS = ("league", "dashboards", "agents", "matchmaking", "arenas", "storage")
 MOST = 12  # modules and folders of a folder
 FORMER_NAMES = {f"arenas/{name}.py" for name in ("options", "about", "props", "hooks")}
 IN_EVERY_GAME = {
-    "settings", "match", "scripts", "observation", "observation_layout", "stages", "starts", "errors",
+    "settings", "rules", "match", "scripts", "observation", "observation_layout", "stages", "starts", "errors",
 }  # fmt: skip
 
 

@@ -32,7 +32,9 @@ def broken(settings, engine):
 
 
 QUICK = {"sumo-1v1", "pursuit", "tag", "rock-paper-scissors"}
-ONE_OF_EACH_GAME = {"sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "tag", "rock-paper-scissors"}
+ONE_OF_EACH_GAME = {
+    "sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "tag", "run-to-goal", "rock-paper-scissors",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
