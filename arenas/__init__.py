@@ -33,6 +33,7 @@ MODULES = (
     "arenas.games.galaga",
     "arenas.games.pursuit",
     "arenas.games.tag",
+    "arenas.games.race",
     "arenas.games.matrix",
 )
 

@@ -11,6 +11,15 @@
 | damping of rates     | 1e-4 N·m·s/rad: turns die within 0.24 s   | chosen: random play spun up for ever         |
 | damping of motion    | 1e-4 N·s/m: 0.4 % of the speed per second | comes with it: one number per free joint     |
 
+There are two ways to fly it. `crazyflie` commands moments. `crazyflie_rates` commands body rates, as racing drones are
+flown, and has more thrust:
+
+| quantity     | value                                            | source                                          |
+|--------------|--------------------------------------------------|-------------------------------------------------|
+| thrust       | 0 to 3.15 weights                                | 2512.11781 (two racing Crazyflies)              |
+| rates        | ±100 °/s in roll and pitch, ±200 °/s in yaw      | same                                            |
+| lag of rates | 0.02 s, moments limited as above                 | chosen; 2512.11781 has motors with a lag of 5 ms |
+
 With this damping one unit of moment turns the drone at 100 rad/s at most. The game decides if touching the ground ends
 a flight; HARL-A's tank game counts a drone at 0.25 m as lost, and so does `fallen` here.
 
@@ -18,7 +27,10 @@ Its collision shapes are two crossed capsules along the arms: four points on the
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 import mujoco
@@ -36,6 +48,9 @@ THRUST_TO_WEIGHT = 1.9
 MOMENT = 0.01  # N·m
 DAMPING = 1e-4  # N·m·s/rad and N·s/m
 LOST_BELOW = 0.25  # m
+RACING_THRUST = 3.15  # weights
+RATES = (math.radians(100), math.radians(100), math.radians(200))  # rad/s
+RATE_LAG = 0.02  # s
 
 MAX_THRUST = THRUST_TO_WEIGHT * MASS * GRAVITY  # N
 HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that balances the weight
@@ -56,7 +71,7 @@ def crazyflie(floor: float = LOST_BELOW) -> Robot:
     return Robot(
         kind="crazyflie",
         action_size=4,
-        build=_build,
+        build=partial(_build, _add_moments),
         base="drone",
         actuators=_ACTUATORS,
         rest_height=HEIGHT / 2,
@@ -71,6 +86,36 @@ def crazyflie(floor: float = LOST_BELOW) -> Robot:
             Part("moments", 3, "", f"about x, y and z, {MOMENT:g} N·m per unit, each clipped to ±1"),
         ),
     )
+
+
+def crazyflie_rates(floor: float = LOST_BELOW) -> Robot:
+    """Make a drone whose action (4,), clipped to ±1, is throttle (−1: none, 0: its weight, 1: all) and rates about x, y
+    and z.
+
+    `floor` is as in `crazyflie`.
+    """
+    return replace(
+        crazyflie(floor),
+        kind="crazyflie-rates",
+        build=partial(_build, _add_rates),
+        command=_rates_command,
+        scripts={"idle": idle_script(4), "random": random_script(4)},
+        action_parts=(
+            Part("throttle", 1, "", f"-1 no thrust, 0 its weight, 1 {RACING_THRUST:g} weights; clipped to ±1"),
+            Part("rates", 3, "", "about x, y and z: 100, 100 and 200 °/s per unit, each clipped to ±1"),
+        ),
+    )
+
+
+def throttle(weights: Array) -> Array:
+    """Return the throttle of `crazyflie_rates` for a thrust in weights, of any shape, clipped to what it has."""
+    return jnp.clip(jnp.where(weights < 1, weights - 1, (weights - 1) / (RACING_THRUST - 1)), -1.0, 1.0)
+
+
+def _rates_command(action: Array) -> Array:
+    a = jnp.clip(action, -1.0, 1.0)
+    weights = 1 + jnp.where(a[:1] < 0, 1.0, RACING_THRUST - 1) * a[:1]
+    return jnp.concatenate([MASS * GRAVITY * weights, jnp.array(RATES) * a[1:]])
 
 
 def _command(action: Array) -> Array:
@@ -99,7 +144,35 @@ def _hover(observation: Array, key: Array) -> Array:
     return jnp.clip(jnp.concatenate([(HOVER - CLIMB_GAIN * climb)[None], moments]), -1.0, 1.0)
 
 
-def _build(colour: Colour) -> mujoco.MjSpec:
+def _add_moments(spec: mujoco.MjSpec) -> None:
+    for name, axis in zip(_ACTUATORS, (2, 3, 4, 5), strict=True):
+        limit = [0.0, MAX_THRUST] if name == "thrust" else [-MOMENT, MOMENT]
+        spec.add_actuator(name=name, ctrlrange=limit, **_about(axis))
+
+
+def _add_rates(spec: mujoco.MjSpec) -> None:
+    """Add the thrust and a proportional controller of each rate, which reaches the rate that is asked for.
+
+    The controller's gain is above its feedback by the joint's damping, which it thus cancels in steady turns.
+    """
+    spec.add_actuator(name="thrust", ctrlrange=[0.0, RACING_THRUST * MASS * GRAVITY], **_about(2))
+    for name, axis, inertia, limit in zip(_ACTUATORS[1:], (3, 4, 5), INERTIA, RATES, strict=True):
+        feedback = inertia / RATE_LAG
+        spec.add_actuator(
+            name=name, ctrlrange=[-limit, limit], gainprm=[feedback + DAMPING, *[0.0] * 9],
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE, biasprm=[0.0, 0.0, -feedback, *[0.0] * 7],
+            forcelimited=True, forcerange=[-MOMENT, MOMENT], **_about(axis),
+        )  # fmt: skip
+
+
+def _about(axis: int) -> dict[str, Any]:
+    """Return what actuators along or about an axis of the body (0 to 2, 3 to 5) have in common."""
+    gear = [0.0] * 6
+    gear[axis] = 1.0
+    return {"target": "centre", "trntype": mujoco.mjtTrn.mjTRN_SITE, "gear": gear, "ctrllimited": True}
+
+
+def _build(add_actuators: Callable[[mujoco.MjSpec], None], colour: Colour) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     drone = spec.worldbody.add_body(
@@ -107,13 +180,7 @@ def _build(colour: Colour) -> mujoco.MjSpec:
     )
     drone.add_freejoint(name="base").damping = [DAMPING, 0, 0]
     drone.add_site(name="centre", size=[0.002, 0, 0], group=4)
-    for name, axis in zip(_ACTUATORS, (2, 3, 4, 5), strict=True):
-        gear = [0.0] * 6
-        gear[axis] = 1.0
-        limits = [0.0, MAX_THRUST] if name == "thrust" else [-MOMENT, MOMENT]
-        spec.add_actuator(
-            name=name, target="centre", trntype=mujoco.mjtTrn.mjTRN_SITE, gear=gear, ctrllimited=True, ctrlrange=limits
-        )
+    add_actuators(spec)
     radius = HEIGHT / 2
     reach = ARM + ROTOR_RADIUS - radius
     for name, angle in (("arms_left", math.pi / 4), ("arms_right", -math.pi / 4)):
