@@ -14,23 +14,25 @@
 There are two ways to fly it. `crazyflie` commands moments. `crazyflie_rates` commands body rates, as racing drones are
 flown, and has more thrust:
 
-| quantity     | value                                            | source                                          |
-|--------------|--------------------------------------------------|-------------------------------------------------|
-| thrust       | 0 to 3.15 weights                                | 2512.11781 (two racing Crazyflies)              |
-| rates        | ±100 °/s in roll and pitch, ±200 °/s in yaw      | same                                            |
-| lag of rates | 0.02 s, moments limited as above                 | chosen; 2512.11781 has motors with a lag of 5 ms |
+| quantity     | value                                       | source                                              |
+|--------------|---------------------------------------------|-----------------------------------------------------|
+| thrust       | 0 to 3.15 weights                           | 2512.11781 (two racing Crazyflies)                  |
+| rates        | ±100 °/s in roll and pitch, ±200 °/s in yaw | same                                                |
+| lag of rates | 0.020 s in roll and pitch, 0.027 s in yaw   | chosen; 2512.11781 has motors with a lag of 0.005 s |
+| drag         | 4.4 % of the speed per second               | comes with it                                       |
 
-With this damping one unit of moment turns the drone at 100 rad/s at most. The game decides if touching the ground ends
-a flight; HARL-A's tank game counts a drone at 0.25 m as lost, and so does `fallen` here.
+The controller of its rates is the joint's damping d, which all engines solve implicitly: the moment d·wanted − d·rate
+is that of a proportional controller, and d moves the body too, as drag.
+
+With the damping of the first table one unit of moment turns the drone at 100 rad/s at most. The game decides if
+touching the ground ends a flight; HARL-A's tank game counts a drone at 0.25 m as lost, and so does `fallen` here.
 
 Its collision shapes are two crossed capsules along the arms: four points on the ground, in closed form on every engine.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 import mujoco
@@ -50,7 +52,7 @@ DAMPING = 1e-4  # N·m·s/rad and N·s/m
 LOST_BELOW = 0.25  # m
 RACING_THRUST = 3.15  # weights
 RATES = (math.radians(100), math.radians(100), math.radians(200))  # rad/s
-RATE_LAG = 0.02  # s
+RATE_DAMPING = INERTIA[0] / 0.02  # N·m·s/rad and N·s/m, by the lag of roll and pitch
 
 MAX_THRUST = THRUST_TO_WEIGHT * MASS * GRAVITY  # N
 HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that balances the weight
@@ -71,7 +73,7 @@ def crazyflie(floor: float = LOST_BELOW) -> Robot:
     return Robot(
         kind="crazyflie",
         action_size=4,
-        build=partial(_build, _add_moments),
+        build=partial(_build, DAMPING, (MAX_THRUST, MOMENT, MOMENT, MOMENT)),
         base="drone",
         actuators=_ACTUATORS,
         rest_height=HEIGHT / 2,
@@ -97,7 +99,7 @@ def crazyflie_rates(floor: float = LOST_BELOW) -> Robot:
     return replace(
         crazyflie(floor),
         kind="crazyflie-rates",
-        build=partial(_build, _add_rates),
+        build=partial(_build, RATE_DAMPING, (RACING_THRUST * MASS * GRAVITY, *(RATE_DAMPING * rate for rate in RATES))),
         command=_rates_command,
         scripts={"idle": idle_script(4), "random": random_script(4)},
         action_parts=(
@@ -115,7 +117,7 @@ def throttle(weights: Array) -> Array:
 def _rates_command(action: Array) -> Array:
     a = jnp.clip(action, -1.0, 1.0)
     weights = 1 + jnp.where(a[:1] < 0, 1.0, RACING_THRUST - 1) * a[:1]
-    return jnp.concatenate([MASS * GRAVITY * weights, jnp.array(RATES) * a[1:]])
+    return jnp.concatenate([MASS * GRAVITY * weights, RATE_DAMPING * jnp.array(RATES) * a[1:]])
 
 
 def _command(action: Array) -> Array:
@@ -144,43 +146,22 @@ def _hover(observation: Array, key: Array) -> Array:
     return jnp.clip(jnp.concatenate([(HOVER - CLIMB_GAIN * climb)[None], moments]), -1.0, 1.0)
 
 
-def _add_moments(spec: mujoco.MjSpec) -> None:
-    for name, axis in zip(_ACTUATORS, (2, 3, 4, 5), strict=True):
-        limit = [0.0, MAX_THRUST] if name == "thrust" else [-MOMENT, MOMENT]
-        spec.add_actuator(name=name, ctrlrange=limit, **_about(axis))
-
-
-def _add_rates(spec: mujoco.MjSpec) -> None:
-    """Add the thrust and a proportional controller of each rate, which reaches the rate that is asked for.
-
-    The controller's gain is above its feedback by the joint's damping, which it thus cancels in steady turns.
-    """
-    spec.add_actuator(name="thrust", ctrlrange=[0.0, RACING_THRUST * MASS * GRAVITY], **_about(2))
-    for name, axis, inertia, limit in zip(_ACTUATORS[1:], (3, 4, 5), INERTIA, RATES, strict=True):
-        feedback = inertia / RATE_LAG
-        spec.add_actuator(
-            name=name, ctrlrange=[-limit, limit], gainprm=[feedback + DAMPING, *[0.0] * 9],
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE, biasprm=[0.0, 0.0, -feedback, *[0.0] * 7],
-            forcelimited=True, forcerange=[-MOMENT, MOMENT], **_about(axis),
-        )  # fmt: skip
-
-
-def _about(axis: int) -> dict[str, Any]:
-    """Return what actuators along or about an axis of the body (0 to 2, 3 to 5) have in common."""
-    gear = [0.0] * 6
-    gear[axis] = 1.0
-    return {"target": "centre", "trntype": mujoco.mjtTrn.mjTRN_SITE, "gear": gear, "ctrllimited": True}
-
-
-def _build(add_actuators: Callable[[mujoco.MjSpec], None], colour: Colour) -> mujoco.MjSpec:
+def _build(damping: float, most: tuple[float, float, float, float], colour: Colour) -> mujoco.MjSpec:
+    """Build the body; `most` are the largest thrust in N and moments in N·m."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     drone = spec.worldbody.add_body(
         name="drone", pos=[0, 0, HEIGHT / 2], mass=MASS, ipos=[0, 0, 0], inertia=INERTIA, explicitinertial=True
     )
-    drone.add_freejoint(name="base").damping = [DAMPING, 0, 0]
+    drone.add_freejoint(name="base").damping = [damping, 0, 0]
     drone.add_site(name="centre", size=[0.002, 0, 0], group=4)
-    add_actuators(spec)
+    for name, axis, limit in zip(_ACTUATORS, (2, 3, 4, 5), most, strict=True):
+        gear = [0.0] * 6
+        gear[axis] = 1.0
+        spec.add_actuator(
+            name=name, target="centre", trntype=mujoco.mjtTrn.mjTRN_SITE, gear=gear, ctrllimited=True,
+            ctrlrange=[0.0 if name == "thrust" else -limit, limit],
+        )  # fmt: skip
     radius = HEIGHT / 2
     reach = ARM + ROTOR_RADIUS - radius
     for name, angle in (("arms_left", math.pi / 4), ("arms_right", -math.pi / 4)):
