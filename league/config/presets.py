@@ -208,6 +208,22 @@ def _hopper(name: str, **arena: Any) -> Config:
     return replace(config, league=name, arena=settings, learner=learner, training=training, budget=budget)
 
 
+def gate_race() -> Config:
+    """Two drones that race through gates and are paid for places alone, as in 2512.11781; for a GPU.
+
+    Its networks and batches are smaller than the paper's (512, 512, 256, 128; 10,240 worlds of 16 decisions). With
+    `--arena.teams 1` a drone learns alone, and with `--arena.rules.walls true` there are walls.
+    """
+    config = default("gate-race")
+    learner = HappoConfig(
+        Architecture((256, 256, 128), "elu"), lr=3e-4, critic_lr=5e-4, gamma=0.99, initial_std=0.5, desired_kl=0.01,
+        normalise_observations=True,
+    )  # fmt: skip
+    training = replace(config.training, rollout_length=24, snapshots_per_doubling=2)
+    budget = Budget(training_time="20m", rating_time="2m")
+    return replace(config, league="gate-race", learner=learner, training=training, budget=budget)
+
+
 def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) -> Config:
     """Return a league of HARL-A's stages and a last stage of matches; `match` has settings of the last stage.
 
@@ -278,6 +294,7 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "sumo-by-team": by_team, "sumo-within-team": within_team,
     "hopper-alone": hopper_alone, "hopper-adversary": hopper_adversary, "hopper-adversaries": hopper_adversaries,
     "soccer-1v1": soccer_1v1, "soccer-2v2": soccer_2v2, "galaga-1v1": galaga_1v1, "galaga-2v2": galaga_2v2,
+    "gate-race": gate_race,
 }  # fmt: skip
 
 
