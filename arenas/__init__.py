@@ -34,6 +34,7 @@ MODULES = (
     "arenas.games.galaga",
     "arenas.games.pursuit",
     "arenas.games.tag",
+    "arenas.games.race",
     "arenas.games.matrix",
 )
 

@@ -57,6 +57,8 @@ SHOTS = {
     "galaga-1v1": Shot(("gunner", "flyer"), 2, 0.56),
     "galaga-2v2": Shot(("gunner", "flyer"), 7, 1.24),
     "tag": Shot(("tagger", "tagger", "tagger"), 2, 5.6),
+    "gate-race": Shot(("pilot", "cadet"), 0, 1.0),
+    "gate-race-4": Shot(("pilot", "pilot", "cadet", "cadet"), 1, 1.2),
     "pursuit": Shot(("interceptor", "runner"), 0, 6.0),
     "soccer-walk": Shot(("seeker",), 2, 16.0),
     "soccer-ball": Shot(("striker",), 0, 5.0),

@@ -11,13 +11,27 @@
 | damping of rates     | 1e-4 N·m·s/rad: turns die within 0.24 s   | chosen: random play spun up for ever         |
 | damping of motion    | 1e-4 N·s/m: 0.4 % of the speed per second | comes with it: one number per free joint     |
 
-With this damping one unit of moment turns the drone at 100 rad/s at most. The game decides if touching the ground ends
-a flight; HARL-A's tank game counts a drone at 0.25 m as lost, and so does `fallen` here.
+There are two ways to fly it. `crazyflie` commands moments. `crazyflie_rates` commands body rates, as racing drones are
+flown, and has more thrust:
+
+| quantity     | value                                       | source                                              |
+|--------------|---------------------------------------------|-----------------------------------------------------|
+| thrust       | 0 to 3.15 weights                           | 2512.11781 (two racing Crazyflies)                  |
+| rates        | ±100 °/s in roll and pitch, ±200 °/s in yaw | same                                                |
+| lag of rates | 0.020 s in roll and pitch, 0.027 s in yaw   | chosen; 2512.11781 has motors with a lag of 0.005 s |
+| drag         | 4.4 % of the speed per second               | comes with it                                       |
+
+The controller of its rates is the joint's damping d, which all engines solve implicitly: the moment d·wanted − d·rate
+is that of a proportional controller, and d moves the body too, as drag.
+
+With the damping of the first table one unit of moment turns the drone at 100 rad/s at most. The game decides if
+touching the ground ends a flight; HARL-A's tank game counts a drone at 0.25 m as lost, and so does `fallen` here.
 
 Its collision shapes are two crossed capsules along the arms: four points on the ground, in closed form on every engine.
 """
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import jax.numpy as jnp
@@ -36,6 +50,9 @@ THRUST_TO_WEIGHT = 1.9
 MOMENT = 0.01  # N·m
 DAMPING = 1e-4  # N·m·s/rad and N·s/m
 LOST_BELOW = 0.25  # m
+RACING_THRUST = 3.15  # weights
+RATES = (math.radians(100), math.radians(100), math.radians(200))  # rad/s
+RATE_DAMPING = INERTIA[0] / 0.02  # N·m·s/rad and N·s/m, by the lag of roll and pitch
 
 MAX_THRUST = THRUST_TO_WEIGHT * MASS * GRAVITY  # N
 HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that balances the weight
@@ -56,7 +73,7 @@ def crazyflie(floor: float = LOST_BELOW) -> Robot:
     return Robot(
         kind="crazyflie",
         action_size=4,
-        build=_build,
+        build=partial(_build, DAMPING, (MAX_THRUST, MOMENT, MOMENT, MOMENT)),
         base="drone",
         actuators=_ACTUATORS,
         rest_height=HEIGHT / 2,
@@ -71,6 +88,36 @@ def crazyflie(floor: float = LOST_BELOW) -> Robot:
             Part("moments", 3, "", f"about x, y and z, {MOMENT:g} N·m per unit, each clipped to ±1"),
         ),
     )
+
+
+def crazyflie_rates(floor: float = LOST_BELOW) -> Robot:
+    """Make a drone whose action (4,), clipped to ±1, is throttle (−1: none, 0: its weight, 1: all) and rates about x, y
+    and z.
+
+    `floor` is as in `crazyflie`.
+    """
+    return replace(
+        crazyflie(floor),
+        kind="crazyflie-rates",
+        build=partial(_build, RATE_DAMPING, (RACING_THRUST * MASS * GRAVITY, *(RATE_DAMPING * rate for rate in RATES))),
+        command=_rates_command,
+        scripts={"idle": idle_script(4), "random": random_script(4)},
+        action_parts=(
+            Part("throttle", 1, "", f"-1 no thrust, 0 its weight, 1 {RACING_THRUST:g} weights; clipped to ±1"),
+            Part("rates", 3, "", "about x, y and z: 100, 100 and 200 °/s per unit, each clipped to ±1"),
+        ),
+    )
+
+
+def throttle(weights: Array) -> Array:
+    """Return the throttle of `crazyflie_rates` for a thrust in weights, of any shape, clipped to what it has."""
+    return jnp.clip(jnp.where(weights < 1, weights - 1, (weights - 1) / (RACING_THRUST - 1)), -1.0, 1.0)
+
+
+def _rates_command(action: Array) -> Array:
+    a = jnp.clip(action, -1.0, 1.0)
+    weights = 1 + jnp.where(a[:1] < 0, 1.0, RACING_THRUST - 1) * a[:1]
+    return jnp.concatenate([MASS * GRAVITY * weights, RATE_DAMPING * jnp.array(RATES) * a[1:]])
 
 
 def _command(action: Array) -> Array:
@@ -99,21 +146,22 @@ def _hover(observation: Array, key: Array) -> Array:
     return jnp.clip(jnp.concatenate([(HOVER - CLIMB_GAIN * climb)[None], moments]), -1.0, 1.0)
 
 
-def _build(colour: Colour) -> mujoco.MjSpec:
+def _build(damping: float, most: tuple[float, float, float, float], colour: Colour) -> mujoco.MjSpec:
+    """Build the body; `most` are the largest thrust in N and moments in N·m."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     drone = spec.worldbody.add_body(
         name="drone", pos=[0, 0, HEIGHT / 2], mass=MASS, ipos=[0, 0, 0], inertia=INERTIA, explicitinertial=True
     )
-    drone.add_freejoint(name="base").damping = [DAMPING, 0, 0]
+    drone.add_freejoint(name="base").damping = [damping, 0, 0]
     drone.add_site(name="centre", size=[0.002, 0, 0], group=4)
-    for name, axis in zip(_ACTUATORS, (2, 3, 4, 5), strict=True):
+    for name, axis, limit in zip(_ACTUATORS, (2, 3, 4, 5), most, strict=True):
         gear = [0.0] * 6
         gear[axis] = 1.0
-        limits = [0.0, MAX_THRUST] if name == "thrust" else [-MOMENT, MOMENT]
         spec.add_actuator(
-            name=name, target="centre", trntype=mujoco.mjtTrn.mjTRN_SITE, gear=gear, ctrllimited=True, ctrlrange=limits
-        )
+            name=name, target="centre", trntype=mujoco.mjtTrn.mjTRN_SITE, gear=gear, ctrllimited=True,
+            ctrlrange=[0.0 if name == "thrust" else -limit, limit],
+        )  # fmt: skip
     radius = HEIGHT / 2
     reach = ARM + ROTOR_RADIUS - radius
     for name, angle in (("arms_left", math.pi / 4), ("arms_right", -math.pi / 4)):

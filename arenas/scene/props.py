@@ -147,6 +147,30 @@ def goal(
     return Prop(name, build)
 
 
+def frame(
+    name: str, *, at: tuple[float, float, float], heading: float, side: float, thick: float = 0.03,
+    colour: Colour = (0.95, 0.45, 0.10, 1.0),
+) -> Prop:  # fmt: skip
+    """Make an upright square frame that is drawn and never touched: a gate, of which the game judges who passes it.
+
+    `at` is the centre of its opening, `heading` in radians the direction in which its opening is passed, `side` that of
+    the opening and `thick` half of its beams, in metres.
+    """
+
+    def build() -> mujoco.MjSpec:
+        spec, body = _body(name, at)
+        body.quat = [math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)]
+        off, box = side / 2 + thick, mujoco.mjtGeom.mjGEOM_BOX
+        for beam, pos, size in (
+            ("left", [0, off, 0], [thick, thick, off + thick]), ("right", [0, -off, 0], [thick, thick, off + thick]),
+            ("top", [0, 0, off], [thick, off - thick, thick]), ("bottom", [0, 0, -off], [thick, off - thick, thick]),
+        ):  # fmt: skip
+            body.add_geom(name=beam, type=box, pos=pos, size=size, rgba=colour, **_VISUAL)
+        return spec
+
+    return Prop(name, build)
+
+
 def _body(name: str, pos: tuple[float, float, float]) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False

@@ -9,14 +9,19 @@ import pytest
 
 from arenas.arena_settings import EngineName, Timing
 from arenas.robots.anymal import anymal
-from arenas.robots.crazyflie import crazyflie
+from arenas.robots.crazyflie import crazyflie, crazyflie_rates
 from arenas.robots.minitank import minitank
 from arenas.robots.robot import Robot
 from tests.arenas.robots.yard import Yard, steadily
 
 SHORT = Timing(timestep=0.005, substeps=2, hold=1)  # 50 steps in 25 decisions
-BODIES: dict[str, Callable[[], Robot]] = {"anymal": anymal, "crazyflie": crazyflie, "minitank": minitank}
-ACTIONS = {"anymal": np.linspace(-0.5, 0.5, 12), "crazyflie": [-0.5, 0.02, 0.0, 0.1], "minitank": [0.5, -1.0]}
+BODIES: dict[str, Callable[[], Robot]] = {
+    "anymal": anymal, "crazyflie": crazyflie, "crazyflie-rates": crazyflie_rates, "minitank": minitank
+}  # fmt: skip
+ACTIONS = {
+    "anymal": np.linspace(-0.5, 0.5, 12), "crazyflie": [-0.5, 0.02, 0.0, 0.1],
+    "crazyflie-rates": [-0.2, 0.9, -0.3, 0.8], "minitank": [0.5, -1.0],
+}  # fmt: skip
 
 
 def final(kind: str, engine: EngineName) -> np.ndarray:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from arenas.robots.crazyflie import HOVER, MASS, crazyflie
+from arenas.robots.crazyflie import HOVER, MASS, crazyflie, crazyflie_rates, throttle
 from tests.arenas.robots.yard import Yard, steadily
 
 WEIGHT = 0.027 * 9.81  # N
@@ -91,3 +91,33 @@ def test_on_the_ground_it_rests_on_its_hull_and_counts_as_fallen():
 def test_turning_for_ever_it_does_not_exceed_a_hundred_radians_per_second(yard):
     rates = yard.play(steadily(0.0, 0.0, 0.0, 1.0), 2.0).physics.qvel[:, yard.at.qvel + 5]
     assert 90 < rates[-1] <= 101
+
+
+# Commanded by rates ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def racer():
+    return Yard(crazyflie_rates(), lifted=3.0)
+
+
+@pytest.mark.parametrize(("axis", "limit", "lag"), [(0, 100, 0.020), (1, 100, 0.020), (2, 200, 0.027)])
+def test_rates_are_reached_with_the_lag_of_the_table_and_held(racer, axis, limit, lag):
+    action = np.zeros(4)
+    action[1 + axis] = 0.5
+    played = racer.play(steadily(*action), 0.4).physics.qvel[:, racer.at.qvel + 3 : racer.at.qvel + 6]
+    wanted = np.zeros(3)
+    wanted[axis] = np.radians(limit) / 2
+    np.testing.assert_allclose(played[-1], wanted, atol=0.01 * wanted.max())
+    share = played[0, axis] / wanted[axis]  # after a decision
+    elapsed = racer.timing.decision_interval
+    assert share == pytest.approx(1 - np.exp(-elapsed / lag), abs=0.05)
+
+
+def test_its_throttle_is_in_weights_and_zero_carries_it(racer):
+    for action, weights in ((-1.0, 0.0), (-0.5, 0.5), (0.0, 1.0), (0.5, 2.075), (1.0, 3.15), (7.0, 3.15)):
+        command = racer.robot.command(jnp.array([action, 0.0, 0.0, 0.0]))
+        np.testing.assert_allclose(command[0], weights * WEIGHT, rtol=1e-5, atol=1e-7)
+        assert float(throttle(jnp.array(weights))) == pytest.approx(min(action, 1.0), abs=1e-6)
+    played = racer.play(steadily(0.0, 0.0, 0.0, 0.0), 2.0)
+    np.testing.assert_allclose(racer.base(played)[-1, :3], [0, 0, 3 + racer.robot.rest_height], atol=0.01)

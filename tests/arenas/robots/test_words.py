@@ -5,12 +5,12 @@ import pytest
 from arenas.description import total_size
 from arenas.games.sumo.settings import KINDS
 from arenas.robots.anymal import anymal
-from arenas.robots.crazyflie import crazyflie
+from arenas.robots.crazyflie import crazyflie, crazyflie_rates
 from arenas.robots.leatherback import leatherback
 from arenas.robots.minitank import minitank
 from arenas.robots.puck import PUCK
 
-ROBOTS = (anymal(), crazyflie(), leatherback(), minitank(), PUCK)
+ROBOTS = (anymal(), crazyflie(), crazyflie_rates(), leatherback(), minitank(), PUCK)
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.kind)

@@ -1,0 +1,48 @@
+"""Presets: named configurations to start from."""
+
+import difflib
+from collections.abc import Callable, Mapping
+
+from league.config.experiment import Config
+from league.config.presets import harl_a, quick_starts, related_work
+from league.config.schema import ConfigError
+
+PRESETS: Mapping[str, Callable[[], Config]] = {
+    "quickstart": quick_starts.quickstart,
+    "duel": quick_starts.duel,
+    "tag": quick_starts.tag,
+    "selfplay": quick_starts.selfplay,
+    "leapfrog": quick_starts.leapfrog,
+    "alphastar": quick_starts.alphastar,
+    "psro": quick_starts.psro,
+    "openai-five": quick_starts.openai_five,
+    "delta-uniform": quick_starts.delta_uniform,
+    "harl_a": harl_a.harl_a,
+    "sumo-by-team": harl_a.by_team,
+    "sumo-within-team": harl_a.within_team,
+    "hopper-alone": related_work.hopper_alone,
+    "hopper-adversary": related_work.hopper_adversary,
+    "hopper-adversaries": related_work.hopper_adversaries,
+    "soccer-1v1": harl_a.soccer_1v1,
+    "soccer-2v2": harl_a.soccer_2v2,
+    "galaga-1v1": harl_a.galaga_1v1,
+    "galaga-2v2": harl_a.galaga_2v2,
+    "run-to-goal": related_work.run_to_goal,
+    "sumo-ants": related_work.sumo_ants,
+    "sumo-humanoids": related_work.sumo_humanoids,
+    "you-shall-not-pass": related_work.you_shall_not_pass,
+    "kick-and-defend": related_work.kick_and_defend,
+    "gate-race": related_work.gate_race,
+}
+
+
+def preset(name: str) -> Config:
+    """Return a preset by name. Raises ConfigError, one line with all presets, for an unknown name."""
+    if name not in PRESETS:
+        near = difflib.get_close_matches(name, PRESETS, 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(
+            ("preset",),
+            f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)}; `league presets` tells what each is)",
+        )
+    return PRESETS[name]()

@@ -1,0 +1,138 @@
+"""Presets of HARL-A (Peterson et al. 2025): its table of settings, and its games from the first step to the matches."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from agents.settings import Architecture, HappoConfig
+from league.config.experiment import Config, default
+from league.config.sections import Budget
+from league.config.stages import Stage
+from matchmaking.schedule import Schedule
+
+
+def harl_a() -> Config:
+    """HARL-A's table of settings (Peterson et al., 2025) in its sumo of 2v2 rovers; for a GPU.
+
+    5,000 worlds × 200 decisions per iteration, HAPPO, and the leapfrog schedule of all its jobs, in turns of 50
+    million environment steps, 10 billion in total. (An outdated script in its code for these rovers has turns of 100
+    million and ends after 1 billion.) HARL-A uses 10,000 worlds for Galaga. Its jobs start from policies of a
+    curriculum, this preset starts from fresh policies. Further differences:
+
+    - HARL-A counts at the start of an iteration, so its first turn is one iteration shorter than the others; ours is
+      not.
+    - Its value normaliser has the deviation 0.1 before the first return, ours has 1. This affects the advantages of the
+      first update.
+    - It standardises advantages by the unbiased deviation, ours by the biased one: a relative difference of half a
+      millionth here.
+    - Its first episodes begin with random clocks and end in timeouts with a cost; ours are truncated and bootstrapped.
+    - It replaces observations that are not finite by numbers and continues; ours makes such episodes void.
+    - Defects of its arenas are repaired (`arena.rules.defects` restores them), physics is MuJoCo's instead of PhysX's,
+      and the rovers' masses are our own, since HARL-A's are not published.
+    - Random numbers differ, with the same seed, 1. Snapshots and ratings are additions that do not change learning.
+    """
+    config = default("sumo-2v2-leatherback")
+    learner = HappoConfig(
+        Architecture((128, 128), "relu", layer_norm=True), lr=5e-4, critic_lr=5e-4, gamma=0.99, gae_lambda=0.95,
+        clip=0.2, entropy_coef=0.01, epochs=5, minibatches=1, max_grad_norm=10.0, huber_delta=10.0, initial_std=0.36553,
+        fixed_order=True,
+    )  # fmt: skip
+    training = replace(
+        config.training, worlds=5000, rollout_length=200, schedule=Schedule("leapfrog", period_steps=50_000_000),
+        shaping_steps=0,
+    )  # fmt: skip
+    budget = Budget(steps=10_000_000_000)
+    return replace(config, league="harl_a", learner=learner, training=training, budget=budget)
+
+
+def by_team() -> Config:
+    """HARL-A's sumo of unlike teams, from the first step to the matches: two ANYmals against two Leatherbacks."""
+    return _ladder("sumo-by-team", *SUMO)
+
+
+def within_team() -> Config:
+    """HARL-A's sumo of unlike team-mates, from the first step to the matches: an ANYmal and a Leatherback each."""
+    return _ladder("sumo-within-team", *SUMO)
+
+
+def soccer_1v1() -> Config:
+    """HARL-A's soccer of one ANYmal against one Leatherback, from the first step to the matches."""
+    return _ladder("soccer-1v1", *SOCCER, match={"arena": {"rules": FREE}})
+
+
+def soccer_2v2() -> Config:
+    """HARL-A's soccer of two ANYmals against two Leatherbacks, from the first step to the matches."""
+    return _ladder("soccer-2v2", *SOCCER, match={"arena": {"rules": FREE}})
+
+
+def galaga_1v1() -> Config:
+    """3D Galaga of one tank and one drone: each learns alone first, to aim and to fly."""
+    return _ladder("galaga-1v1", *_galaga("1v1"))
+
+
+def galaga_2v2() -> Config:
+    """3D Galaga of two tanks and two drones within walls, by the same stages."""
+    return _ladder("galaga-2v2", *_galaga("2v2"))
+
+
+def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) -> Config:
+    """Return a league of HARL-A's stages and a last stage of matches; `match` has settings of the last stage.
+
+    Budgets are for a GPU; `--steps` bounds each of them. With this learner an ANYmal walks after 2 million steps
+    (docs/arenas/anymal-walk.md).
+    """
+    config = default(arena)
+    learner = HappoConfig(
+        Architecture((128, 128, 128), "elu"), lr=1e-3, critic_lr=1e-3, gamma=0.99, initial_std=0.6,
+        normalise_observations=True,
+    )  # fmt: skip
+    training = replace(config.training, rollout_length=24, shaping_steps=50_000_000, snapshots_per_doubling=4)
+    last = Stage("match", {"budget": {"steps": 500_000_000}, **(match or {})})
+    budget = Budget(rating_time="5m")
+    return replace(config, league=arena, learner=learner, training=training, budget=budget, stages=(*stages, last))
+
+
+def _stage(name: str, arena: str, **budget: Any) -> Stage:
+    return Stage(name, {"arena": {"name": arena}, "budget": budget})
+
+
+def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -> Stage:
+    """Return a stage in which a robot learns to score, by settings that succeeded (docs/results.md).
+
+    With `ease` the robot begins on the way to the goal. The dense reward is strong and fades by success, positions
+    alone earn nothing, the discount is close to 1 and updates are small.
+    """
+    reward = {"approach": 1.0, "push": 4.0, "near": 0.0, "ball": 0.0}
+    name = arena.removeprefix("soccer-") + ("-easy" if ease else "")
+    settings = {
+        "arena": {"name": arena, "reward": reward, "rules": {**rules, "ease": ease}}, "budget": budget,
+        "learner": {"lr": 3e-4, "desired_kl": 0.01, "gamma": 0.997},
+        "training": {"shaping_until": 0.9, "shaping_steps": "none"},
+    }  # fmt: skip
+    return Stage(name, settings)
+
+
+SUMO = (
+    _stage("walk", "anymal-walk", success=0.9, steps=200_000_000),
+    _stage("push-anymal", "block-push-anymal", score=0.8, plateau=6, steps=100_000_000),
+    _stage("push-leatherback", "block-push-leatherback", score=0.8, plateau=6, steps=50_000_000),
+)
+FREE = {"drive_scale": 40.0, "steer_scale": 0.5}
+"""Rules for a Leatherback in soccer: full throttle is at an action of 1.25 and not of 5, which exploration never
+reaches."""
+SOCCER = (
+    _stage("walk", "soccer-walk", success=0.9, steps=200_000_000),
+    _stage("ball", "soccer-ball", success=0.9, steps=100_000_000),
+    _scoring("soccer-score", 1.0, {}, success=0.7, steps=25_000_000),
+    _scoring("soccer-score", 0.0, {}, success=0.7, steps=200_000_000),
+    _scoring("soccer-score-leatherback", 1.0, FREE, success=0.7, steps=25_000_000),
+    _scoring("soccer-score-leatherback", 0.0, FREE, success=0.7, steps=100_000_000),
+)
+
+
+def _galaga(size: str) -> tuple[Stage, ...]:
+    """Return the stages in which tank and drone learn alone, with the observations of the game of that size."""
+    return (
+        _stage("aim", f"galaga-aim-{size}", success=0.9, steps=50_000_000),
+        _stage("fly", f"galaga-fly-{size}", success=0.9, steps=200_000_000),
+    )
