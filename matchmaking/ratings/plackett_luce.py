@@ -12,12 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from matchmaking.ratings.likelihoods.choice_sets import ChoiceSets, Values
+from matchmaking.ratings.likelihoods.information import MAX_DENSE
 from matchmaking.ratings.likelihoods.penalised import Moments, PenalisedLikelihood
 from matchmaking.ratings.priors import Prior
-from matchmaking.ratings.rankings import Rankings, chunks
-
-MAX_TABLE = 4_000_000
-"""Maximum number P² of pairs that are looked up in a table; above, they are sorted."""
+from matchmaking.ratings.rankings import MAX_TABLE, Rankings
 
 
 @dataclass(eq=False)
@@ -53,6 +51,11 @@ class PlackettLuce(PenalisedLikelihood):
         return np.array([0.0, *map(math.log, self.orders)])
 
     @property
+    def is_dense(self) -> bool:
+        """True where a table of all pairs is solved faster: also where most players have met each other."""
+        return super().is_dense or (self.size <= MAX_DENSE and len(self.home) > self.size**2 / 10)
+
+    @property
     def weights(self) -> np.ndarray:
         """Numbers (D,) of games in which each pair met."""
         return self._weights
@@ -61,7 +64,7 @@ class PlackettLuce(PenalisedLikelihood):
     def _weights(self) -> np.ndarray:
         found = np.zeros(len(self.home))
         for of, number in zip(self._places, self._numbers, strict=True):
-            found += np.bincount(of.ravel(), np.broadcast_to(number[:, None], of.shape).ravel(), len(found))
+            found += np.bincount(of.ravel(), np.broadcast_to(number, of.shape).ravel(), len(found))
         return found
 
     def ties(self, x: np.ndarray) -> dict[int, float]:
@@ -98,24 +101,24 @@ class PlackettLuce(PenalisedLikelihood):
         slope, strength = np.zeros(P + T), np.zeros(D)
         shared, block = np.zeros((T, D)), np.zeros((T, T))
         for each, values, places in zip(self._sets, terms.values, self._places, strict=True):
-            flip = np.where(each.players[:, each.ahead] < each.players[:, each.behind], 1.0, -1.0) if tied else None
             slope[[P + place for place in tied]] += each.ties
-            for rows in chunks(len(each.players), each.n**2 * len(each.orders)):
-                found, place = each.derive(values, rows), places[rows].ravel()
-                slope[:P] += np.bincount(each.players[rows].ravel(), found.residual.ravel(), P)
+            for rows in each.parts():
+                found, place = each.derive(values, rows), places[:, rows].ravel()
+                players = each.players[:, rows]
+                slope[:P] += np.bincount(players.ravel(), found.residual.ravel(), P)
                 strength += np.bincount(place, found.pairs.ravel(), D)
-                for number, column in enumerate(tied):
-                    assert flip is not None
-                    shared[column] += np.bincount(place, (flip[rows] * found.flows[:, :, number]).ravel(), D)
+                turned = np.where(players[each.ahead] < players[each.behind], 1.0, -1.0) if tied else np.zeros(0)
+                for column, flow in zip(tied, found.flows, strict=True):
+                    shared[column] += np.bincount(place, (turned * flow).ravel(), D)
                 slope[[P + place for place in tied]] -= found.ties
                 block[np.ix_(tied, tied)] += found.tie_covariance
         terms.slope, terms.moments = slope, Moments(strength, shared.T, block)
 
     def _pairs_that_met(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return the pairs that met as ascending numbers (D,), and the place (R, C) in it of each pair of positions."""
+        """Return the pairs that met as ascending numbers (D,), and the place (C, R) in it of each pair of positions."""
         P, keys = self.size, []
         for each in self._sets:
-            a, b = each.players[:, each.ahead], each.players[:, each.behind]
+            a, b = each.players[each.ahead], each.players[each.behind]
             keys.append(np.minimum(a, b) * P + np.maximum(a, b))
         if P * P > MAX_TABLE:
             found = np.unique(np.concatenate([np.unique(key) for key in keys])) if keys else np.zeros(0, int)

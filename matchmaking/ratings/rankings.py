@@ -3,13 +3,16 @@
 Below P is the number of players, R the number of different rankings of n players each.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from storage.records import LineupTotals, RankedMatch
+
+MAX_TABLE = 4_000_000
+"""Maximum number P² of pairs that are counted in a table; above, they are sorted."""
 
 
 class Block(NamedTuple):
@@ -85,25 +88,36 @@ class Rankings:
 
     def pairs(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the pairs that met: first (E,), second (E,) with the larger index, and wins, draws, losses (E, 3)."""
+        if size * size <= MAX_TABLE:
+            table = np.zeros(3 * size * size)
+            for key, many in self._outcomes(size):
+                table += np.bincount(key, many, len(table))
+            found = table.reshape(-1, 3).astype(np.int64)
+            met = np.flatnonzero(found.any(1))
+            return *np.divmod(met, max(size, 1)), found[met]
         keys, counts = [], []
-        for players, ranks, count in self.blocks:
+        for key, many in self._outcomes(size):
+            found, inverse = np.unique(key, return_inverse=True)
+            keys.append(found)
+            counts.append(np.bincount(inverse, many, len(found)).astype(np.int64))
+        key, inverse = np.unique(np.concatenate(keys) // 3, return_inverse=True)
+        found = np.zeros((len(key), 3), np.int64)
+        np.add.at(found, (inverse, np.concatenate(keys) % 3), np.concatenate(counts))
+        return *np.divmod(key, size), found
+
+    def _outcomes(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield pairs and their outcomes as numbers, 3 (first P + second) + 0, 1 or 2 for a win, draw or loss of the
+        first, and how often each occurred.
+        """
+        for players, ranks, number in self.blocks:
             ahead, behind = np.triu_indices(players.shape[1], 1)
             for rows in chunks(len(players), len(ahead)):
                 a, b = players[rows][:, ahead], players[rows][:, behind]
                 drawn = ranks[rows][:, ahead] == ranks[rows][:, behind]
                 outcome = np.where(drawn, 1, np.where(a < b, 0, 2))
                 key = (np.minimum(a, b) * size + np.maximum(a, b)) * 3 + outcome
-                found, inverse = np.unique(key[a != b], return_inverse=True)
-                many = np.broadcast_to(count[rows, None], a.shape)[a != b]
-                keys.append(found)
-                counts.append(np.bincount(inverse, many, len(found)).astype(np.int64))
-        if not keys:
-            return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3), int)
-        key, inverse = np.unique(np.concatenate(keys) // 3, return_inverse=True)
-        found = np.zeros((len(key), 3), np.int64)
-        np.add.at(found, (inverse, np.concatenate(keys) % 3), np.concatenate(counts))
-        first, second = np.divmod(key, size)
-        return first, second, found
+                many = np.broadcast_to(number[rows, None], a.shape)
+                yield key[a != b], many[a != b]
 
     @classmethod
     def _merged(cls, blocks: Iterable[Block]) -> "Rankings":

@@ -80,7 +80,7 @@ def examined(payoff: Payoff, sides: bool = True) -> Separation:
         return find_separation(Likelihood.of(payoff, none(), sides))
     problem = Likelihood.of(payoff, none(), sides=False)
     found = find_separation(replace(problem, free=np.append(problem.free[:-1], False)))  # with ties fixed, by pairs
-    change = tie_direction(payoff.rankings, len(payoff.names))
+    change = tie_direction(payoff.rankings, len(payoff.names), payoff.first, payoff.second, payoff.home)
     if change is None:
         return found
     unknown = np.zeros(len(payoff.names), bool)

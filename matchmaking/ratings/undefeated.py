@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from matchmaking.ratings.likelihoods.information import SolverNotConverged
-from matchmaking.ratings.likelihoods.penalised import MAX_DENSE_FIT, NotConverged, PenalisedLikelihood, maximise
+from matchmaking.ratings.likelihoods.penalised import NotConverged, PenalisedLikelihood, maximise
 from matchmaking.ratings.payoff import Payoff
 
 VANISHED = 1e-9
@@ -38,7 +38,7 @@ def maximum(problem: PenalisedLikelihood, payoff: Payoff) -> np.ndarray:
 def _weakest(problem: PenalisedLikelihood, x: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the smallest eigenvalue of the information and its direction (P + T,)."""
     terms = problem.terms(x)
-    if problem.size <= MAX_DENSE_FIT:
+    if problem.is_dense:
         values, vectors = np.linalg.eigh(problem.information(x, terms) + problem.location)
         return values[0], vectors[:, 0]
     found = problem.sparse_information(x, terms)

@@ -76,8 +76,8 @@ def _row(value: dict[str, str], place: str) -> tuple[str, str, float]:
 
 def _repeats(event: np.ndarray, player: np.ndarray) -> bool:
     """Return whether a player is in an event twice."""
-    key = event * (int(player.max(initial=0)) + 1) + player
-    return len(np.unique(key)) < len(key)
+    key = np.sort(event * (int(player.max(initial=0)) + 1) + player)
+    return bool((key[1:] == key[:-1]).any())
 
 
 def _require_sizes(event: np.ndarray, rank: np.ndarray, titles: list[str], source: str) -> None:

@@ -134,9 +134,14 @@ class PenalisedLikelihood(ABC):
 
         Raises LinAlgError or SolverNotConverged.
         """
-        if self.size <= MAX_DENSE_FIT:
+        if self.is_dense:
             return np.linalg.solve(self.information(x, terms) + self.location, right)
         return self.sparse_information(x, terms).solver(STEP_TOLERANCE)(right[:, None])[:, 0]
+
+    @property
+    def is_dense(self) -> bool:
+        """True if a step is solved in a table of all pairs."""
+        return self.size <= MAX_DENSE_FIT
 
     @cached_property
     def _graph(self) -> tuple[PairGraph, np.ndarray, np.ndarray]:

@@ -23,10 +23,14 @@ ZERO = 1e-7
 ROUNDS = 60
 
 
-def tie_direction(rankings: Rankings, size: int) -> np.ndarray | None:
-    """Return the change (P,) of strengths along which some tie term has no bound; None if all have one."""
+def tie_direction(
+    rankings: Rankings, size: int, first: np.ndarray, second: np.ndarray, games: np.ndarray
+) -> np.ndarray | None:
+    """Return the change (P,) of strengths along which some tie term has no bound; None if all have one.
+
+    `first`, `second` and `games` are the rankings' pairs (`Rankings.pairs`).
+    """
     orders = rankings.tie_orders().tolist()
-    first, second, games = rankings.pairs(size)
     ahead, behind = games[:, 0] > 0, games[:, 2] > 0
     source, target = np.append(first[ahead], second[behind]), np.append(second[ahead], first[behind])
     chains = graph_algorithms.strong_components(size, source, target)
