@@ -5,9 +5,10 @@ For two players the choice of the best is exp(d/2) : δ_2 : exp(-d/2), so ν = �
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -130,3 +131,34 @@ class PlackettLuce(PenalisedLikelihood):
         place = np.zeros(P * P, np.int32)
         place[found] = np.arange(len(found))
         return found, [place[key] for key in keys]
+
+
+def ranking_chances(strength: Sequence[float], ties: Mapping[int, float]) -> dict[tuple[int, ...], float]:
+    """Return the probability of every ranking of a game: the rank of each player, from 1 -> probability.
+
+    For a few players: eight have 545,835 rankings.
+
+    Args:
+        strength: log odds θ of each player.
+        ties: δ_k of every number k of players that may be tied.
+    """
+    found: dict[tuple[int, ...], float] = {}
+
+    def choose(left: tuple[int, ...], ranks: dict[int, int], chance: float) -> None:
+        if not left:
+            found[tuple(ranks[i] for i in range(len(strength)))] = chance
+            return
+        groups = [group for k in (1, *sorted(ties)) for group in combinations(left, k)]
+        top = max(strength[i] for i in left)
+        weights = [
+            (ties[len(group)] if len(group) > 1 else 1.0)
+            * math.exp(sum(strength[i] - top for i in group) / len(group))
+            for group in groups
+        ]  # fmt: skip
+        for group, weight in zip(groups, weights, strict=True):
+            rest = tuple(i for i in left if i not in group)
+            rank = len(strength) - len(left) + 1
+            choose(rest, ranks | dict.fromkeys(group, rank), chance * weight / sum(weights))
+
+    choose(tuple(range(len(strength))), {}, 1.0)
+    return found
