@@ -1,5 +1,8 @@
 """Columns of the tables of matches, snapshots, learning curves, players and workers, for commands and the page."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from dashboards.tables import Column
 
 NEWEST = 30
@@ -8,6 +11,9 @@ RECORDED = Column("recorded", "rec.")
 MATCHES = (
     "match", Column("a", no_wrap=True), Column("b", no_wrap=True), Column("result", "w-d-l", no_wrap=True), "voids",
     Column("score", decimals=3), RECORDED,
+)  # fmt: skip
+LINEUPS = (
+    "match", Column("lineup"), Column("mean_ranks", "mean ranks"), "voids", RECORDED,
 )  # fmt: skip
 PURPOSE = Column("purpose", "for", no_wrap=True)  # shown if not all matches are the league's own rating matches
 SNAPSHOTS = (
@@ -29,3 +35,16 @@ WORKERS = (
     "worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("job", no_wrap=True),
     Column("lease s", decimals=0), Column("seen s ago", decimals=1),
 )  # fmt: skip
+
+
+def match_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column | str]:
+    """Return the columns of a table of matches: those of lineups, of pairs, or both, as they occur."""
+    lineups = [row for row in rows if row.get("lineup")]
+    if not lineups:
+        return list(MATCHES)
+    return list(LINEUPS) if len(lineups) == len(rows) else [*MATCHES[:-1], *LINEUPS[1:3], RECORDED]
+
+
+def result_text(row: Mapping[str, Any]) -> str | None:
+    """Return wins, draws and losses of A in a row of a match; None for a match of more than two teams."""
+    return None if row.get("lineup") else f"{row['wins']}-{row['draws']}-{row['losses']}"

@@ -16,7 +16,7 @@ from league.system.provenance import LINE, code_of
 from matchmaking.ratings.ladder import Ladder, Pool
 from matchmaking.ratings.payoff import Score
 from storage.errors import NoLeague, StorageError, UnknownName
-from storage.records import RATED_PURPOSES, ArenaKey, CurvePoint, Match, Player, Snapshot
+from storage.records import RATED_PURPOSES, ArenaKey, CurvePoint, Match, Player, RankedMatch, Snapshot
 from storage.store import Store
 
 if TYPE_CHECKING:
@@ -101,10 +101,14 @@ class Open:
         return found | players | {str(team): team for team in players.values()}
 
     def matches(self) -> "pd.DataFrame":
-        """Return a row per batch of episodes: players a and b, a's wins, draws, losses and voids, seed, recording."""
+        """Return a row per batch of episodes: players a and b, a's wins, draws, losses and voids, seed, recording.
+
+        Matches of three and more teams have a `lineup`, the snapshot of each team, with the numbers of `rankings` and
+        the `mean_ranks` of the teams, and no a and b.
+        """
         import pandas as pd
 
-        return pd.DataFrame(match_rows(self.store.matches(self.league)))
+        return pd.DataFrame(match_rows(self.store.log(self.league)))
 
     def snapshot(self, name: str) -> Snapshot:
         """Return a snapshot that can play, by its own name or by that of the player whose newest it is.
@@ -215,23 +219,49 @@ def require_whole(snapshot: Snapshot, others: Iterable[Snapshot]) -> None:
     )
 
 
-def match_rows(matches: Iterable[Match]) -> list[Row]:
-    """See Open.matches. Training is not played by snapshots: `blue@32+` is blue some time after blue@32."""
+def match_rows(matches: Iterable[Match | RankedMatch]) -> list[Row]:
+    """See Open.matches. Training is not played by snapshots: `blue@32+` is blue some time after blue@32.
+
+    Only where there are matches of three and more teams do rows have the columns of these.
+    """
+    given = list(matches)
+    lineups = any(isinstance(m, RankedMatch) for m in given)
     return [
         {
-            "match": m.id, "a": _called(m, m.a), "b": _called(m, m.b),
-            "wins": m.wins, "draws": m.draws, "losses": m.losses, "voids": m.voids,
-            "voids_a": m.voids_a, "voids_b": m.voids_b,
-            "void_causes": cause_names(m.causes),
-            "score": (m.wins + m.draws / 2) / played if (played := m.wins + m.draws + m.losses) else None,
+            "match": m.id, **_result(m), **(_lineup(m) if lineups else {}), "void_causes": cause_names(m.causes),
             "seed": m.seed, "steps": m.steps, "purpose": m.purpose, "recorded": m.recording is not None,
             "recording": m.recording, **m.arena._asdict(), "created": m.created,
         }
-        for m in matches
+        for m in given
     ]  # fmt: skip
 
 
-def _called(match: Match, name: str | None) -> str | None:
+def _result(m: Match | RankedMatch) -> Row:
+    """Return the part of a row that is counted for A; nothing of a ranked match is."""
+    if isinstance(m, RankedMatch):
+        counts = dict.fromkeys(("a", "b", "wins", "draws", "losses"))
+        return {**counts, "voids": m.voids, "voids_a": None, "voids_b": None, "score": None}
+    return {
+        "a": _called(m, m.a), "b": _called(m, m.b), "wins": m.wins, "draws": m.draws, "losses": m.losses,
+        "voids": m.voids, "voids_a": m.voids_a, "voids_b": m.voids_b,
+        "score": (m.wins + m.draws / 2) / m.episodes if m.episodes else None,
+    }  # fmt: skip
+
+
+def _lineup(m: Match | RankedMatch) -> Row:
+    """Return the part of a row that only a ranked match fills: who played with whom, and how it ended."""
+    if isinstance(m, Match):
+        return dict.fromkeys(("lineup", "mean_ranks", "rankings", "voids_by_team"))
+    means = [sum(ranks[i] * n for ranks, n in m.rankings.items()) for i in range(len(m.snapshots))]
+    return {
+        "lineup": ", ".join(str(_called(m, name)) for name in m.snapshots),
+        "mean_ranks": ", ".join(f"{mean / m.episodes:.2f}" for mean in means) if m.episodes else None,
+        "rankings": "; ".join(f"{','.join(map(str, ranks))}: {n}" for ranks, n in sorted(m.rankings.items())),
+        "voids_by_team": ", ".join(map(str, m.voids_by_team)),
+    }
+
+
+def _called(match: Match | RankedMatch, name: str | None) -> str | None:
     return f"{name}+" if name and match.purpose == "training" else name
 
 

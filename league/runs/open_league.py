@@ -79,7 +79,7 @@ class OpenLeague(Open):
         """Return the matches that were recorded, as rows of `matches()`; empty if there is none."""
         import pandas as pd
 
-        return pd.DataFrame(match_rows(m for m in self.store.matches(self.league) if m.recording is not None))
+        return pd.DataFrame(match_rows(m for m in self.store.log(self.league) if m.recording is not None))
 
     def recording(self, match: int | None = None, episode: int = 0, **wish: Any) -> Episode:
         """Return a recorded episode: of a match by its number, else of the newest match.

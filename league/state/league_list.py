@@ -28,7 +28,7 @@ def _row(store: Store, league: League) -> dict[str, Any]:
     newest = max((s for s in snapshots if s.player), key=lambda s: (s.iteration, s.created), default=None)
     running = leader(store, league.name) is not None or leader(store, name) is not None
     number = store.last_match(name)
-    matches = store.matches(name, after=number - 1) if number else []
+    matches = store.log(name, after=number - 1) if number else []
     times = [
         league.created,
         *(run.started for run in store.runs(name)),

@@ -51,6 +51,8 @@ def ratings(args: list[str]) -> int:
     with options.open() as opened:
         shown, teams = opened.shown(options.arena, options.engine, as_of, options.all), opened.teams()
         log = opened.store.matches(opened.league, RATED_PURPOSES) if options.ticker else []
+    if options.ticker and any(ladder.payoff.rankings for ladder in shown.ladders):
+        raise ConfigError(("ticker",), "--ticker follows games of two teams, and this arena has more: leave it out")
     found = []
     for ladder in shown.ladders:
         rows = rating_rows(ladder, shown.snapshots, shown.players, shown.void_limit)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from dashboards.tables import Column, Format, render
 from dashboards.text import wrapped
 from league.commands.options import Listing, parse
-from league.queries.columns import CURVES, MATCHES, NEWEST, PURPOSE, SNAPSHOTS
+from league.queries.columns import CURVES, NEWEST, PURPOSE, SNAPSHOTS, match_columns, result_text
 from league.queries.query import curve_rows, match_rows, snapshot_rows
 from league.queries.ratings.rating_rows import Row, when
 from league.system.provenance import LINE
@@ -37,11 +37,12 @@ def matches(args: list[str]) -> int:
     options = parse(LogOptions, args, "matches", "Every batch of episodes, counted for a; the newest at the end.")
     with options.open() as opened:
         total = opened.store.last_match(opened.league)
-        rows = match_rows(opened.store.matches(opened.league, after=total - _asked(options, total)))
+        rows = match_rows(opened.store.log(opened.league, after=total - _asked(options, total)))
     if options.format == "table":
-        rows = [{**row, "result": f"{row['wins']}-{row['draws']}-{row['losses']}"} for row in rows]
+        rows = [{**row, "result": result_text(row)} for row in rows]
+    columns = match_columns(rows)
     unlike = [key for key in ("arena", "engine") if len({row[key] for row in rows}) > 1]
-    shown = list(MATCHES) if all(row["purpose"] == "rating" for row in rows) else [MATCHES[0], PURPOSE, *MATCHES[1:]]
+    shown = columns if all(row["purpose"] == "rating" for row in rows) else [columns[0], PURPOSE, *columns[1:]]
     print(_newest(rows, [*shown, *(Column(key, no_wrap=True) for key in unlike)], options, args, "matches", total))
     return 0
 

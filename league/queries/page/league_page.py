@@ -70,7 +70,7 @@ def sections(opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = N
         for row in rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
     ]
     total = opened.store.last_match(opened.league)
-    newest = played(opened.store.matches(opened.league, after=total - NEWEST), link_prefix)
+    newest = played(opened.store.log(opened.league, after=total - NEWEST), link_prefix)
     first = overview(Facts(opened, shown, state, status, rows, points), films[0])
     found: dict[tuple[str, str, str], Iterable[Part]] = {
         ("now", "Who learns now", "Players"): _schedule(status, opened.store.now()),
@@ -175,7 +175,9 @@ def _payoff(shown: Shown, opened: Open, link_prefix: str) -> Iterator[str | Figu
             " `league payoff --format csv` has all."
         )
     yield FigureBlock(figures.payoff(rows, columns, scores, games), f"{caption} A click on a cell shows its matches.")
-    met = opened.store.matches(opened.league, among=list(dict.fromkeys([*rows, *columns])))
+    among = list(dict.fromkeys([*rows, *columns]))
+    log = (opened.store.matches(opened.league, among=among), opened.store.ranked_matches(opened.league, among=among))
+    met = sorted((*log[0], *log[1]), key=lambda match: match.id)
     yield pair_table(rows, columns, played(met, link_prefix), link_prefix)
     cells = [
         {"score %": name, **{other: found.cell(name, other, x) for other, x in zip(columns, line, strict=True)}}

@@ -95,6 +95,8 @@ def _notes(ladder: Ladder, rows: Sequence[Row], void_limit: float, by_side: bool
         notes.append(f"The mean of {of} initial snapshots is {ANCHOR_ELO:.0f} Elo.")
         if not all(row["known"] for row in rows):
             notes[0] += f" –: not yet known (an interval wider than {UNKNOWN:.0f} Elo, or no game)."
+        if ladder.payoff.rankings:
+            notes.append("Ratings are fitted to whole rankings; in games and w-d-l each other team counts as a game.")
         notes += unbounded_fits.of_ladder(ladder)
         if abs(side := ladder.ratings.side_advantage) >= 0.5 and not ladder.separation.side:
             notes.append(

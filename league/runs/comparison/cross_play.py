@@ -71,9 +71,9 @@ class CrossPlay:
         """Return the ladder of the compared snapshots, from all matches that they have played."""
         names = {entry.copy.name for entry in self.entries}
         there = self.league in {league.name for league in self._store.leagues()}
-        log = self._store.matches(self.league, RATED_PURPOSES) if there else []
+        log = self._store.log(self.league, RATED_PURPOSES) if there else []
         pool = Pool.of([entry.copy for entry in self.entries], [entry.player for entry in self.entries])
-        return Ladder(pool, [m for m in log if m.a in names and (m.b is None or m.b in names)])
+        return Ladder(pool, [m for m in log if names.issuperset(m.players)])
 
     def rows(self, ladder: Ladder) -> list[Row]:
         """Return the rows of the ladder, best first, each with its league."""
