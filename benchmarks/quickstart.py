@@ -118,7 +118,7 @@ def bare_batch(worlds: int = 256, seconds: float = 10.0) -> dict:
     """Return control steps/s of `mujoco.batch.Batch` alone on the quick start's model, with random controls."""
     from mujoco.batch import Batch
 
-    arena = presets.quickstart().arena.build(engine="c")
+    arena = presets.preset("quickstart").arena.build(engine="c")
     batch = Batch(arena.scene.model, worlds)
     batch.bind("qpos")[:] = np.asarray(arena.place(jax.random.key(0))[0])
     ctrl = batch.bind("ctrl")

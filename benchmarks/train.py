@@ -106,7 +106,7 @@ def measured(args: argparse.Namespace) -> Iterator[dict]:
         learner=replace(config.learner, cuda_graphs=args.graphs, precision=args.precision, compiled=args.compiled),
     )
     places = [(config, worlds, [name for name in args.rows if name != "quickstart"]) for worlds in args.worlds]
-    places += [(presets.quickstart(), QUICKSTART_WORLDS, [name for name in args.rows if name == "quickstart"])]
+    places += [(presets.preset("quickstart"), QUICKSTART_WORLDS, [name for name in args.rows if name == "quickstart"])]
     for settings, worlds, names in places:
         ground = Ground(settings, worlds, args) if names else None
         for name in names:

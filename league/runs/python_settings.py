@@ -80,7 +80,7 @@ def _kept(store: str, over: Mapping[str, Any]) -> Config | Mapping[str, Any]:
                 return experiment.loads(opened.league(whole.root if whole else name).config, f"league {name}")
     except NotAStore:
         pass
-    return presets.quickstart()
+    return presets.preset("quickstart")
 
 
 def presets_or_arena(over: Mapping[str, Any]) -> bool:

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matchmaking.ratings import priors, undefeated
+from matchmaking.ratings import priors
 from matchmaking.ratings.davidson import Likelihood, Outcome, expected_score
+from matchmaking.ratings.likelihoods import undefeated
 from matchmaking.ratings.likelihoods.covariance import StrengthCovariance
 from matchmaking.ratings.likelihoods.penalised import PenalisedLikelihood, maximise
 from matchmaking.ratings.payoff import PAIR_SCORES, Payoff, quantile

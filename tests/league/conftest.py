@@ -125,7 +125,7 @@ def port() -> int:
 @pytest.fixture(scope="session")
 def duel() -> Arena:
     """The arena of the preset duel on the C engine, built once."""
-    return presets.duel().arena.build(engine="c")
+    return presets.preset("duel").arena.build(engine="c")
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ def match(a: str, b: str | None, games: int = 128) -> Match:
 
 
 def training(**changes):
-    base = replace(presets.quickstart(), budget=Budget("5m", rating_time="3m"))
+    base = replace(presets.preset("quickstart"), budget=Budget("5m", rating_time="3m"))
     return replace(base, training=replace(base.training, worlds=256, **changes))
 
 

@@ -18,7 +18,7 @@ LEAGUE = "duel"
 
 def settings(schedule=Schedule(), opponents=Opponents(), **changes):  # noqa: B008  (frozen)
     """A duel of 16 worlds with turns of four iterations of 8 decisions, that runs until a test has seen enough."""
-    config = presets.duel()
+    config = presets.preset("duel")
     size = {"worlds": 16, "rollout_length": 8, "iterations_per_turn": 4}
     training = replace(config.training, schedule=schedule, opponents=opponents, **size, **changes)
     return replace(config, deterministic=True, training=training, budget=configuration.Budget(steps=10**9))

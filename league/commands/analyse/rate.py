@@ -18,8 +18,8 @@ from league.queries.ratings import unbounded_fits
 from matchmaking.ratings import priors
 from matchmaking.ratings.fit import Ratings, fit
 from matchmaking.ratings.likelihoods.penalised import NotConverged
+from matchmaking.ratings.likelihoods.undefeated import Unbounded
 from matchmaking.ratings.separation import Separation, examined
-from matchmaking.ratings.undefeated import Unbounded
 
 PRIOR = 4.0
 RATED = (Column("name", no_wrap=True), Column("elo", decimals=0), Column("error", "±", 0), "games")

@@ -144,7 +144,7 @@ def _under(
                 return kept.config, f"{opened.where}, league {kept.name}", None
     except NotAStore:
         pass  # there is no store yet; if something else is there, creating a store fails with the reason
-    return None, "", presets.quickstart()
+    return None, "", presets.preset("quickstart")
 
 
 def _budgeted(chosen: RunOptions, given: flags.Given) -> flags.Given:

@@ -49,9 +49,10 @@ def pair_table(rows: Sequence[str], columns: Sequence[str], played: Sequence[Row
         for a, b, result in _met_in(row):
             if not {a, b} <= {*rows, *columns}:
                 continue
-            own, shown = found.setdefault(a, {}).setdefault(b, []), {**row, "a": a, "b": b, "result": result}
+            own = found.setdefault(a, {}).setdefault(b, [])
             if len(own) < OF_A_PAIR:
-                own.append([str(shown[key] or "") for key in heads])
+                cells = {**row, "a": a, "b": b, "result": result}
+                own.append([str(cells[key] or "") for key in heads])
     name = f"Matches of a pair, counted for a, the newest {OF_A_PAIR} of each order"
     return PairTable(rows, columns, list(heads.values()), found, name, link_prefix)
 

@@ -189,7 +189,7 @@ def maximise(problem: PenalisedLikelihood, steps: int = 100) -> np.ndarray:
     """Return the maximum by Newton's method from even odds, halving each step until the objective does not fall.
 
     It is Fisher scoring here, since the models are exponential families. Without a maximum it ends far out, where the
-    information vanishes (`matchmaking.ratings.undefeated` looks for that), or raises NotConverged.
+    information vanishes (`matchmaking.ratings.likelihoods.undefeated` looks for that), or raises NotConverged.
     """
     x, decrement = np.zeros(len(problem.free)), math.inf
     value, terms = problem.evaluate(x)

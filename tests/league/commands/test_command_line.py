@@ -103,7 +103,7 @@ def test_the_help_of_run_is_grouped_and_shows_the_values_that_a_file_gives(folde
 
 def test_a_league_that_runs_elsewhere_is_not_run_here(folder, capsys):
     with Store.open("league-data", create=True) as store:
-        store.create_league(League("quickstart", configuration.dumps(presets.quickstart())))
+        store.create_league(League("quickstart", configuration.dumps(presets.preset("quickstart"))))
         assert store.acquire_leadership("quickstart", "elsewhere:1:manager", 60.0)
     for args in (("run",), ("run", "--detach")):
         code, _, err = said(capsys, *args)
@@ -112,9 +112,9 @@ def test_a_league_that_runs_elsewhere_is_not_run_here(folder, capsys):
 
 
 def test_a_background_run_that_cannot_lead_says_why(folder):
-    config = replace(presets.duel(), seed=5)
+    config = replace(presets.preset("duel"), seed=5)
     with Store.open("league-data", create=True) as store:
-        kept = configuration.dumps(presets.duel())
+        kept = configuration.dumps(presets.preset("duel"))
         store.create_league(League("duel", kept))
         store.acquire_leadership("duel", "elsewhere:1:manager", 60.0)
         prepared = Prepared("sumo-1v1", "c", 64, ("blue", "red"))
@@ -208,7 +208,7 @@ def test_a_league_in_the_background_leads_before_that_is_said_and_stops_when_ask
 
 
 def test_a_setting_that_fails_is_not_what_the_next_run_goes_on_with(folder, capsys):
-    kept = configuration.dumps(presets.duel())
+    kept = configuration.dumps(presets.preset("duel"))
     with Store.open("league-data", create=True) as store:
         store.create_league(League("duel", kept))
         code, _, err = said(capsys, "run", "--training.schedule.learner", "2")

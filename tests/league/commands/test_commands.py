@@ -270,4 +270,4 @@ def test_presets_are_listed_a_line_each_and_printed_in_full(capsys):
     rows = json.loads(said(capsys, "presets", "--format", "json")[1])
     assert [row["preset"] for row in rows] == list(presets.PRESETS)
     assert all(row["what"].endswith(".") and "\n" not in row["what"] for row in rows)
-    assert experiment.loads(said(capsys, "presets", "duel")[1]) == presets.duel()
+    assert experiment.loads(said(capsys, "presets", "duel")[1]) == presets.preset("duel")

@@ -198,8 +198,8 @@ def test_steps_and_time_of_one_run_stand_for_the_budget():
 
 
 def test_a_plain_run_goes_on_with_the_league_of_the_store_and_flags_change_it(folder):
-    assert config() == presets.quickstart()
-    kept = replace(presets.duel(), seed=42)
+    assert config() == presets.preset("quickstart")
+    kept = replace(presets.preset("duel"), seed=42)
     with Store.open("league-data", create=True) as store:
         store.create_league(League(kept.league, configuration.dumps(kept)))
     asked = read([])

@@ -69,7 +69,7 @@ def test_harl_a_has_the_papers_table_of_settings():
 
 
 def test_every_setting_is_explained():
-    text = config.dumps(presets.quickstart())
+    text = config.dumps(presets.preset("quickstart"))
     lines = text.splitlines()
     for i, line in enumerate(lines):
         if " = " in line and not line.startswith("#"):

@@ -19,7 +19,7 @@ NAMES = ("selfplay", "leapfrog", "alphastar", "psro", "openai-five", "delta-unif
 @pytest.mark.parametrize("name", NAMES)
 def test_each_is_the_quick_start_by_a_published_rule_and_one_line_of_a_file(name):
     config = presets.preset(name)
-    quick = presets.quickstart()
+    quick = presets.preset("quickstart")
     assert config.league == name
     assert (config.arena, config.learner, config.budget) == (quick.arena, quick.learner, quick.budget)
     assert configuration.loads(f'preset = "{name}"\n') == config

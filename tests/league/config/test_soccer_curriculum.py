@@ -13,7 +13,7 @@ from storage.records import Player
 from storage.store import Store
 from tests.league.conftest import call
 
-PRESETS = {"soccer-1v1": presets.soccer_1v1, "soccer-2v2": presets.soccer_2v2}
+PRESETS = {"soccer-1v1": presets.PRESETS["soccer-1v1"], "soccer-2v2": presets.PRESETS["soccer-2v2"]}
 STAGES = ("walk", "ball", "score-easy", "score", "score-leatherback-easy", "score-leatherback", "match")
 
 

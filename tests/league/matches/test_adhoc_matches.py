@@ -23,7 +23,7 @@ from tests.league.leagues import filled, finish, match
 
 def league(folder: Path, settings) -> Path:
     """A store with a league of scripts alone."""
-    config = Config(arena=settings, rating=replace(presets.duel().rating, trained=False))
+    config = Config(arena=settings, rating=replace(presets.preset("duel").rating, trained=False))
     with Store.open(folder, create=True) as store:
         create(store, config, settings.build(engine="auto", threads=1))
     return folder

@@ -23,7 +23,7 @@ TASK = RatingMatch((("a", "b"), ("a", "c")), 5)
 
 @pytest.fixture(scope="module")
 def evaluator():
-    config = presets.duel()
+    config = presets.preset("duel")
     config = replace(config, rating=replace(config.rating, worlds=16, pairings=2, record=False))
     return MatchEvaluator(config, config.arena.build(engine="c", threads=1), "tiny")
 
@@ -146,7 +146,7 @@ def test_pairs_of_a_manager_whose_device_has_more_places_are_all_played(evaluato
 
 
 def test_a_referee_keeps_no_more_policies_in_memory_than_it_may(tmp_path):
-    config = presets.duel()
+    config = presets.preset("duel")
     config = replace(
         config, rating=replace(config.rating, worlds=16, pairings=2, record=False),
         storage=replace(config.storage, cached_policies=2),
@@ -169,7 +169,7 @@ P, Q, R = (Snapshot("tiny", name, f"digest of {name}", "puck:22:2") for name in 
 
 @pytest.fixture(scope="module")
 def three():
-    config = presets.tag()
+    config = presets.preset("tag")
     config = replace(config, rating=replace(config.rating, worlds=12, pairings=2, record=False))
     return MatchEvaluator(config, config.arena.build(engine="c", threads=1), "tiny")
 

@@ -85,7 +85,7 @@ def test_scripts_and_one_team_arenas_have_no_initial_opponents():
 
 
 def test_yardsticks_are_initial_milestones_and_scripts_that_it_can_meet():
-    config = presets.quickstart()
+    config = presets.preset("quickstart")
     config = replace(config, rating=replace(config.rating, milestones=("1s", "3s", "1h"), scripts=("pusher",)))
     pool = [*frozen(BLUE, RED), snapshot(None, 0, name="pusher"), snapshot(None, 0, name="idle")]
     state = LeagueState(players=[BLUE, RED], snapshots=pool)

@@ -18,7 +18,7 @@ from tests.league.leagues import filled, match
 
 
 def test_a_plan_for_which_the_store_was_away_is_made_again(duel, tmp_path, capsys):
-    config = presets.duel()
+    config = presets.preset("duel")
     with Store.open(tmp_path / "store", create=True) as store:
         create(store, config, duel)
         manager = Manager(store, spec := RunSpec.of(str(tmp_path / "store"), config), spec.config())
@@ -63,7 +63,7 @@ def finish_when_asked_to_end(where: str, ready: Event) -> None:
 def test_what_is_told_at_the_end_has_the_batch_that_was_being_played_when_time_was_up(tmp_path):
     """A run with "done · 0 rated episodes" above a table of 512: the line was told before workers had ended."""
     where, told = tmp_path / "store", []
-    config = replace(presets.quickstart(), league="cup", budget=Budget(steps=1, rating_time="1s"))
+    config = replace(presets.preset("quickstart"), league="cup", budget=Budget(steps=1, rating_time="1s"))
     with filled(where) as store:
         manager = Manager(store, RunSpec.of(str(where), config), config)
         context = multiprocessing.get_context("spawn")

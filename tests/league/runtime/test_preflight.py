@@ -22,7 +22,7 @@ from tests.league.conftest import ROOT
 
 
 def duel(**changes: object) -> configuration.Config:
-    return replace(presets.duel(), **changes)
+    return replace(presets.preset("duel"), **changes)
 
 
 @pytest.mark.parametrize(

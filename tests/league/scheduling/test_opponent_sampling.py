@@ -112,7 +112,7 @@ def test_the_nash_mixture_is_that_of_the_other_team():
 
 
 def test_alphastars_mix_seats_the_present_player_among_the_drawn():
-    config = presets.quickstart()
+    config = presets.preset("quickstart")
     training = replace(config.training, worlds=256, opponents=Opponents("alphastar", groups=64))
     state = league_state(games("red", 300, 200))
     turn = _turn(replace(config, training=training), state)
@@ -148,7 +148,7 @@ def test_a_victim_is_always_met_by_whom_it_fits():
 
 
 def test_what_is_explained_is_what_is_drawn():
-    config = presets.quickstart()
+    config = presets.preset("quickstart")
     rule = Opponents("pfsp", past=0.5, groups=200)
     config = replace(config, training=replace(config.training, worlds=4096, opponents=rule))
     state = league_state(games("red@0", 100, 0), games("red@4", 20, 80))

@@ -77,7 +77,7 @@ def test_old_iterations_and_few_episodes_say_nothing():
 
 def test_run_says_it_once_and_keeps_the_share_in_its_line(opened, capsys):
     finish(opened.store, matches=[FEW_SOUND])
-    ticker, state = Ticker(presets.quickstart(), every=0.0), LeagueState.of(opened.store, "cup")
+    ticker, state = Ticker(presets.preset("quickstart"), every=0.0), LeagueState.of(opened.store, "cup")
     for _ in range(2):
         ticker(state, "training", [])
     said = describe(capsys.readouterr().out)

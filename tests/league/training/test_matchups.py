@@ -17,7 +17,7 @@ PRESENT = 4  # the number of a script that stands for the present players: told 
 
 @pytest.fixture(scope="module")
 def arena():
-    return presets.duel().arena.build(engine="c", threads=1)
+    return presets.preset("duel").arena.build(engine="c", threads=1)
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_a_group_without_a_player_in_some_team_needs_past_ones_there(store, aren
 
 
 def test_games_of_three_teams_are_counted_against_each_opponent_in_its_seat(tmp_path):
-    arena = presets.tag().arena.build(engine="c", threads=1)
+    arena = presets.preset("tag").arena.build(engine="c", threads=1)
     three = ("blue", "red", "green")
     past = {"blue": (("", "idle", "tagger"), ("", "tagger", "tagger"))}
     with Store.open(tmp_path / "store", create=True) as store:

@@ -9,8 +9,8 @@ from matchmaking import match_selection
 from matchmaking.ratings.fit import Ratings, fit
 from matchmaking.ratings.ladder import Ladder, Pool
 from matchmaking.ratings.likelihoods import covariance, information, penalised
+from matchmaking.ratings.likelihoods.undefeated import Unbounded
 from matchmaking.ratings.payoff import sum_matches
-from matchmaking.ratings.undefeated import Unbounded
 from tests.matchmaking.conftest import make_match
 
 

@@ -11,10 +11,10 @@ from matchmaking.ratings import priors
 from matchmaking.ratings.fit import ELO, fit
 from matchmaking.ratings.likelihoods import covariance, information, penalised
 from matchmaking.ratings.likelihoods.penalised import maximise
+from matchmaking.ratings.likelihoods.undefeated import Unbounded
 from matchmaking.ratings.payoff import rankings_payoff, sum_matches
 from matchmaking.ratings.plackett_luce import PlackettLuce, ranking_chances
 from matchmaking.ratings.rankings import Rankings
-from matchmaking.ratings.undefeated import Unbounded
 from storage.records import ArenaKey, RankedMatch, competition_ranks
 
 TAG = ArenaKey("tag", "c0ffee", "c")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from matchmaking.ratings.fit import ELO, fit
+from matchmaking.ratings.likelihoods.undefeated import Unbounded
 from matchmaking.ratings.payoff import sum_matches
-from matchmaking.ratings.undefeated import Unbounded
 
 
 def free(log, **options):

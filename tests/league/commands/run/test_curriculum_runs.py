@@ -62,12 +62,12 @@ def test_a_stage_is_the_league_with_what_the_stage_says():
 
 
 def test_stages_are_written_as_they_are_read():
-    for config in (configuration.loads(WALK), presets.by_team(), presets.within_team()):
+    for config in (configuration.loads(WALK), presets.preset("sumo-by-team"), presets.preset("sumo-within-team")):
         assert configuration.loads(configuration.dumps(config)) == config
 
 
 def test_a_budget_of_the_whole_league_bounds_every_stage():
-    config = presets.by_team()
+    config = presets.preset("sumo-by-team")
     short = replace(config, budget=replace(config.budget, steps=3000))
     assert {configuration.stage(short, number).budget.steps for number in range(4)} == {3000}
     assert configuration.stage(short, 0).budget.success == 0.9
