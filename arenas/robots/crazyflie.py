@@ -96,10 +96,11 @@ def crazyflie_rates(floor: float = LOST_BELOW) -> Robot:
 
     `floor` is as in `crazyflie`.
     """
+    x, y, z = (RATE_DAMPING * rate for rate in RATES)
     return replace(
         crazyflie(floor),
         kind="crazyflie-rates",
-        build=partial(_build, RATE_DAMPING, (RACING_THRUST * MASS * GRAVITY, *(RATE_DAMPING * rate for rate in RATES))),
+        build=partial(_build, RATE_DAMPING, (RACING_THRUST * MASS * GRAVITY, x, y, z)),
         command=_rates_command,
         scripts={"idle": idle_script(4), "random": random_script(4)},
         action_parts=(

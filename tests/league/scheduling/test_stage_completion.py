@@ -157,7 +157,10 @@ def test_the_best_snapshot_is_what_the_next_stage_starts_from(tmp_path):
 
 
 def test_stages_of_pushing_end_when_they_have_been_learnt():
-    stages = {s.name: configuration.stage(presets.preset("sumo-by-team"), i) for i, s in enumerate(presets.preset("sumo-by-team").stages)}
+    stages = {
+        s.name: configuration.stage(presets.preset("sumo-by-team"), i)
+        for i, s in enumerate(presets.preset("sumo-by-team").stages)
+    }
     for name in ("push-anymal", "push-leatherback"):
         assert (stages[name].budget.score, stages[name].budget.plateau) == (0.8, 6)
         assert "each scores 80% against initial" in curriculum.until(stages[name])

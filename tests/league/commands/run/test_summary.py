@@ -117,9 +117,13 @@ def test_one_team_tells_its_success():
     log = [match("blue@64", None, 30, 10), match("blue@0", None, 1, 39)]
     line = ticker().line(league_state(*log, players=PLAYERS[:1]), "training", [worker(**SAID)])
     assert line.startswith("blue@64 75 % success · ")
-    assert "blue@64 succeeds: 75.0 % (" in summary(presets.preset("quickstart"), league_state(*log, players=PLAYERS[:1]))
+    assert "blue@64 succeeds: 75.0 % (" in summary(
+        presets.preset("quickstart"), league_state(*log, players=PLAYERS[:1])
+    )
     early = [match("blue@1", None, 30, 10)]
-    assert "blue@64 succeeds: not tried yet" in summary(presets.preset("quickstart"), league_state(*early, players=PLAYERS[:1]))
+    assert "blue@64 succeeds: not tried yet" in summary(
+        presets.preset("quickstart"), league_state(*early, players=PLAYERS[:1])
+    )
 
 
 def test_it_is_printed_as_lines_where_there_is_no_terminal(capsys):
