@@ -6,7 +6,7 @@ import pytest
 
 import league
 from league.commands.cli import main
-from league.queries.page import page
+from league.queries.page.league_page import page
 from league.queries.query import Open
 from league.state.league_state import LeagueState
 from matchmaking.ratings.fit import fit
@@ -137,14 +137,14 @@ def test_the_page_has_lineups(place):
     "command",
     [
         ["gate", "blue@4", "red@4"],
-        ["play", "blue@4", "red@4"],
         ["exploit", "blue@4", "--budget", "100"],
     ],
 )
 def test_what_is_between_two_is_refused_in_one_line(ran, command):
     code, out, err = ran(*command)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "league cup has 3 teams, and this is between two" in err
+    assert "league cup has 3 teams, and a" in err
+    assert "is for two: `league ratings` ranks its players" in err
 
 
 def test_a_snapshot_that_a_person_let_play_is_kept(place):
