@@ -29,7 +29,7 @@ class Entities(NamedTuple):
     """
 
     name: str
-    index: tuple[tuple[int, ...], ...]  # for each entity the places of its numbers, alike in meaning and order
+    places: tuple[tuple[int, ...], ...]  # for each entity those of its numbers, alike in meaning and order
 
 
 def entity_places(first: int, count: int, size: int) -> tuple[tuple[int, ...], ...]:

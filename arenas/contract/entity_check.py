@@ -40,9 +40,9 @@ def of_agent(run: CheckRun, agent: AgentSpec) -> str:
 
 def shape_fault(sets: Sequence[Entities], size: int) -> str:
     """Describe what is wrong with places in an observation of `size` numbers; empty if nothing is."""
-    places = [place for each in sets for entity in each.index for place in entity]
+    places = [place for each in sets for entity in each.places for place in entity]
     for each in sets:
-        sizes = {len(entity) for entity in each.index}
+        sizes = {len(entity) for entity in each.places}
         if len(sizes) != 1 or 0 in sizes:
             return f"entities of the set {each.name} have {sorted(sizes)} numbers; they need equally many, 1 or more"
     if outside := [place for place in places if not 0 <= place < size]:
@@ -56,6 +56,6 @@ def rotated(seen: np.ndarray, sets: Sequence[Entities]) -> np.ndarray:
     """Return observations (N, obs) in which each entity of a set is in the place of the next one."""
     moved = np.array(seen)
     for each in sets:
-        index = np.array(each.index)
+        index = np.array(each.places)
         moved[:, index] = seen[:, np.roll(index, 1, axis=0)]
     return moved

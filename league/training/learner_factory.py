@@ -69,7 +69,7 @@ def _new_happo_learner(
     critic_size = {"privileged": sum(sizes[0]) + arena.privileged_size, "same": common_critic_size(arena.teams)}.get(
         sees, 0
     )
-    sets = [[each.index for each in a.entities] for a in agents]
+    sets = [[each.places for each in a.entities] for a in agents]
     return HappoLearner(*sizes, settings, seed, config.training.device, kinds, other_sizes, critic_size, sets, comm)
 
 

@@ -76,7 +76,7 @@ class ObservationBuilder:
             Entities("predators", entity_places(hunters, predators, 2)),
             Entities("prey", tuple(place + moving for place, moving in pairs)),
         )
-        return tuple(each for each in sets if each.index)
+        return tuple(each for each in sets if each.places)
 
     def observe(self, state: PlanarState, i: int) -> Array:
         """Return the observation of robot i."""

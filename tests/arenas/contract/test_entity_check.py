@@ -31,7 +31,7 @@ def test_pursuits_sets_are_sets(run):
     parts = run.arena.observation_parts("predators/0")
     prey = run.arena.agents[0].entities[-1]
     assert [part.size for part in parts] == [2, 2, 4, 2, 4, 4, 1]
-    assert prey.index == ((10, 11, 14, 15), (12, 13, 16, 17))  # place and velocity of each
+    assert prey.places == ((10, 11, 14, 15), (12, 13, 16, 17))  # place and velocity of each
 
 
 def test_a_set_that_a_script_does_not_take_as_one_is_found(run):
