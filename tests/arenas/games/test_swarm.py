@@ -105,6 +105,17 @@ def test_others_are_seen_in_blocks_with_a_flag_and_zeros_once_they_are_out(swarm
     np.testing.assert_allclose(read(found["guards/0"], "leatherback", SMALL).pucks[:, :2], [[3, 3], [0, 6], [0, 0]])
 
 
+def test_the_sets_that_networks_may_encode_are_the_blocks(swarm):
+    found = seen(swarm, {}, state())
+    for agent, kind in (("swarm/1", "puck"), ("guards/0", "leatherback")):
+        sets = {each.name: found[agent][np.array(each.index)] for each in swarm.observation_entities(agent)}
+        view = read(found[agent], kind, SMALL)
+        wanted = {"pucks": view.pucks, "leatherbacks": view.rovers}
+        assert set(sets) == {name for name, blocks in wanted.items() if len(blocks)}
+        for name, blocks in sets.items():
+            np.testing.assert_allclose(blocks, wanted[name], err_msg=name)
+
+
 def test_a_rover_sees_in_its_own_heading(swarm):
     physics = put(swarm, APART)
     at = swarm.scene.agents["guards/0"].qpos

@@ -28,7 +28,7 @@ from jax import Array
 
 from arenas.arena import Arena
 from arenas.arena_settings import EngineOptions, Solver
-from arenas.description import Legend, Part
+from arenas.description import Entities, Legend, Part
 from arenas.games.pursuit.swarm import observation, scripts
 from arenas.games.pursuit.swarm.settings import EDGE, KINDS, TEAMS, SwarmSettings
 from arenas.physics.engine import Physics
@@ -85,6 +85,10 @@ class Swarm(Arena):
     def observation_parts(self, agent: str) -> tuple[Part, ...]:
         """Describe the observation, which depends on the kind."""
         return observation.parts(self.robots[agent].kind, self.settings)
+
+    def observation_entities(self, agent: str) -> tuple[Entities, ...]:
+        """Name the other pucks and the other rovers as sets."""
+        return observation.entities(self.robots[agent].kind, self.settings)
 
     def legend(self) -> Legend:
         """Describe the verdict; the notes of the weights describe the terms."""

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from arenas.description import Part
+from arenas.description import Entities, Part, entity_places
 from arenas.games.pursuit.swarm.settings import KINDS, OTHER_SIZES, OWN_SIZES, SwarmSettings
 
 NO_HEADING = np.array([0, 1, 2, 3, 6])  # the numbers of a block of a puck, which has no heading
@@ -66,6 +66,16 @@ def parts(kind: str, settings: SwarmSettings) -> tuple[Part, ...]:
         for i in range(room - (each == kind))
     )
     return own + others
+
+
+def entities(kind: str, settings: SwarmSettings) -> tuple[Entities, ...]:
+    """Return the sets in the observation of a robot of this kind: other pucks, and other rovers."""
+    found, first = [], OWN_SIZES[kind]
+    for each, room in settings.room.items():
+        number = room - (each == kind)
+        found.append(Entities(f"{each}s", entity_places(first, number, OTHER_SIZES[each])))
+        first += number * OTHER_SIZES[each]
+    return tuple(each for each in found if each.index)
 
 
 def observe(state: PlanarState, settings: SwarmSettings) -> list[Array]:

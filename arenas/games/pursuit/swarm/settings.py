@@ -37,7 +37,7 @@ class SwarmRules:
     """Distance in metres from a rover's middle to that of a puck up to which it catches it."""
     radius: float = field(default=0.1, metadata={"low": 0.02, "high": 0.12})
     """Radius of a puck, in metres; walls are 0.2 m high."""
-    speed: float = field(default=0.8, metadata={"low": 0.01, "high": 4.0})
+    speed: float = field(default=0.9, metadata={"low": 0.01, "high": 4.0})
     """Speed in m/s that a puck approaches at full thrust."""
     thrust: float = field(default=4.0, metadata={"low": 0.01, "high": 1000.0})
     """N at full thrust; a puck weighs 1 kg."""
