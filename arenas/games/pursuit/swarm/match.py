@@ -69,7 +69,7 @@ class Swarm(Arena):
             settings.name, rosters, settings.timing, asdict(rules),
             props=props.square_of_walls(rules.side, HEIGHT), solver=Solver(contacts=contacts, rows=ROWS * contacts),
             marker_kinds={"zone": "circle"} | {f"reach-{i}": "circle" for i in range(settings.rovers)}
-            | {f"free-{i}": "circle" for i in range(settings.pucks)},
+            | {f"free-{i}": "sphere" for i in range(settings.pucks)},
             **options,
         )  # fmt: skip
         self.settings, self.rules, self.weights, self.pucks = settings, rules, settings.reward, settings.pucks
@@ -166,12 +166,13 @@ class Swarm(Arena):
         return scripts.of_game(self.settings)
 
     def markers(self, physics: Physics, game: GameState) -> dict[str, Array]:
-        """Return the zone, the reach of each rover, and a circle round each puck that is in the game."""
+        """Return the zone, the reach of each rover, and a sphere round each puck that is in the game."""
         xy = self._xy(physics)
         found = {"zone": jnp.array([0.0, 0.0, self.rules.zone])}
         found |= {f"reach-{i}": jnp.append(at, self.rules.reach) for i, at in enumerate(xy[self.pucks :])}
-        free = 1.4 * self.rules.radius * game.free
-        return found | {f"free-{i}": jnp.append(xy[i], free[i]) for i in range(self.pucks)}
+        height, free = jnp.full((self.pucks, 1), self.rules.radius), 1.4 * self.rules.radius * game.free[:, None]
+        spheres = jnp.concatenate([xy[: self.pucks], height, free], axis=1)
+        return found | {f"free-{i}": sphere for i, sphere in enumerate(spheres)}
 
 
 def _ring(key: Array, radius: Array) -> Array:
