@@ -33,6 +33,7 @@ MODULES = (
     "arenas.games.soccer",
     "arenas.games.galaga",
     "arenas.games.pursuit",
+    "arenas.games.pursuit.swarm",
     "arenas.games.tag",
     "arenas.games.race",
     "arenas.games.matrix",

@@ -60,6 +60,7 @@ SHOTS = {
     "gate-race": Shot(("pilot", "cadet"), 0, 1.0),
     "gate-race-4": Shot(("pilot", "pilot", "cadet", "cadet"), 1, 1.2),
     "pursuit": Shot(("interceptor", "runner"), 0, 6.0),
+    "swarm": Shot(("dodger", "keeper"), 1, 3.5),
     "soccer-walk": Shot(("seeker",), 2, 16.0),
     "soccer-ball": Shot(("striker",), 0, 5.0),
     "soccer-score": Shot(("striker",), 0, 10.0),

@@ -24,7 +24,7 @@ from jax import Array
 
 from arenas.arena import Arena
 from arenas.arena_settings import EngineOptions, Solver
-from arenas.description import Legend, Part
+from arenas.description import Entities, Legend, Part
 from arenas.games.race import observation, scripts
 from arenas.games.race.crossings import Gates, cross, place_gates, wall_gaps
 from arenas.games.race.settings import TEAMS, RaceSettings
@@ -82,6 +82,10 @@ class Race(Arena):
     def observation_parts(self, agent: str) -> tuple[Part, ...]:
         """Describe the observation."""
         return observation.parts(self.settings.others)
+
+    def observation_entities(self, agent: str) -> tuple[Entities, ...]:
+        """Name the other drones as a set."""
+        return observation.entities(self.settings.others)
 
     def legend(self) -> Legend:
         """Describe the verdict; the notes of the weights describe the terms."""

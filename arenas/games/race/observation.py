@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from arenas.description import Part
+from arenas.description import Entities, Part, entity_places
 from arenas.games.race.settings import GATES_SIZE, OTHER_SIZE, OWN_SIZE
 from arenas.robots.robot import MOTION
 from arenas.robots.rotations import into_body
@@ -54,6 +54,11 @@ def parts(others: int) -> tuple[Part, ...]:
         )
         for name in ("nearest", "second", "third")[:others]
     )
+
+
+def entities(others: int) -> tuple[Entities, ...]:
+    """Return the set in the observation: the other drones."""
+    return (Entities("others", entity_places(OWN_SIZE + GATES_SIZE, others, OTHER_SIZE)),)
 
 
 def observe(
