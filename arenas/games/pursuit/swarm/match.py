@@ -47,7 +47,7 @@ CONTACTS, ROWS = {"puck": 3, "leatherback": 8}, 4  # Warp's slots for each robot
 
 
 class GameState(NamedTuple):
-    """What has become of each puck."""
+    """State of each puck."""
 
     free: Array  # (pucks,) bool: in the game
     through: Array  # (pucks,) bool: it reached the zone
