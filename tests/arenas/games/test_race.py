@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from arenas.contract.check import check_arena
 from arenas.contract.check_run import WORLDS, CheckRun
@@ -44,7 +45,12 @@ def at(arena, places=None, time=2.0, rates=None):
     return Physics(*numbers, causes=jnp.zeros((), jnp.uint8), carry=())
 
 
-def state(arena, gate=4, passed=0, moments=0.0, contacts=0, flying=True) -> GameState:
+def state(
+    arena: Race, gate: int = 4, passed: ArrayLike = 0, moments: ArrayLike = 0.0, contacts: ArrayLike = 0,
+    flying: ArrayLike = True,
+) -> GameState:  # fmt: skip
+    """The same for each drone, or (drones,)."""
+
     def each(value, dtype):
         return jnp.broadcast_to(jnp.asarray(value, dtype), (arena.number,))
 
@@ -274,7 +280,7 @@ class Favoured(Race):
 SHORT = RaceSettings(rules=RaceRules(episode=1.0, take_off=0.2, walls=True))
 
 
-@pytest.mark.parametrize("teams", [1, 2, 3])
+@pytest.mark.parametrize("teams", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_it_keeps_the_contract_and_its_teams_can_change_places(teams):
     settings = replace(SHORT, teams=teams)
     arena = settings.build(engine="c", worlds=WORLDS)
