@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
@@ -100,6 +101,19 @@ def test_a_gate_has_its_corners_left_and_above_as_seen_by_who_passes_it():
     np.testing.assert_allclose(gates.ahead, [[0.0, 1.0, 0.0]], atol=1e-6)
     wanted = [[0.5, 2.0, 3.5], [1.5, 2.0, 3.5], [1.5, 2.0, 2.5], [0.5, 2.0, 2.5]]
     np.testing.assert_allclose(gates.corners[0], wanted, atol=1e-6)
+
+
+def test_gates_are_drawn_where_they_are_judged_and_touched_by_nothing(duel):
+    model = duel.scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for i, centre in enumerate(duel.gates.centre):
+        beams = {name: model.geom(f"gate-{i}/{name}").id for name in ("left", "right", "top", "bottom")}
+        offsets = np.array([data.geom_xpos[beam] - centre for beam in beams.values()])
+        left, up = 0.53 * np.asarray(duel.gates.left[i]), np.array([0, 0, 0.53])  # m, beams are 6 cm thick
+        np.testing.assert_allclose(offsets, [left, -left, up, -up], atol=1e-6)
+        assert not model.geom_contype[list(beams.values())].any()
+        assert not model.geom_conaffinity[list(beams.values())].any()
 
 
 @pytest.mark.parametrize("track", TRACKS.values())
