@@ -53,6 +53,9 @@ LOST_BELOW = 0.25  # m
 RACING_THRUST = 3.15  # weights
 RATES = (math.radians(100), math.radians(100), math.radians(200))  # rad/s
 RATE_DAMPING = INERTIA[0] / 0.02  # N·m·s/rad and N·s/m, by the lag of roll and pitch
+RATES_LIMITS = (  # N and N·m, of thrust and the moments that hold the largest rates
+    RACING_THRUST * MASS * GRAVITY, RATE_DAMPING * RATES[0], RATE_DAMPING * RATES[1], RATE_DAMPING * RATES[2],
+)  # fmt: skip
 
 MAX_THRUST = THRUST_TO_WEIGHT * MASS * GRAVITY  # N
 HOVER = 2 / THRUST_TO_WEIGHT - 1  # the throttle that balances the weight
@@ -96,11 +99,10 @@ def crazyflie_rates(floor: float = LOST_BELOW) -> Robot:
 
     `floor` is as in `crazyflie`.
     """
-    x, y, z = (RATE_DAMPING * rate for rate in RATES)
     return replace(
         crazyflie(floor),
         kind="crazyflie-rates",
-        build=partial(_build, RATE_DAMPING, (RACING_THRUST * MASS * GRAVITY, x, y, z)),
+        build=partial(_build, RATE_DAMPING, RATES_LIMITS),
         command=_rates_command,
         scripts={"idle": idle_script(4), "random": random_script(4)},
         action_parts=(

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from arenas.contract.check import check_arena
 from arenas.contract.check_run import WORLDS, CheckRun
@@ -44,7 +46,12 @@ def at(arena, places=None, time=2.0, rates=None):
     return Physics(*numbers, causes=jnp.zeros((), jnp.uint8), carry=())
 
 
-def state(arena, gate=4, passed=0, moments=0.0, contacts=0, flying=True) -> GameState:
+def state(
+    arena: Race, gate: int = 4, passed: ArrayLike = 0, moments: ArrayLike = 0.0, contacts: ArrayLike = 0,
+    flying: ArrayLike = True,
+) -> GameState:  # fmt: skip
+    """The same for each drone, or (drones,)."""
+
     def each(value, dtype):
         return jnp.broadcast_to(jnp.asarray(value, dtype), (arena.number,))
 
@@ -94,6 +101,19 @@ def test_a_gate_has_its_corners_left_and_above_as_seen_by_who_passes_it():
     np.testing.assert_allclose(gates.ahead, [[0.0, 1.0, 0.0]], atol=1e-6)
     wanted = [[0.5, 2.0, 3.5], [1.5, 2.0, 3.5], [1.5, 2.0, 2.5], [0.5, 2.0, 2.5]]
     np.testing.assert_allclose(gates.corners[0], wanted, atol=1e-6)
+
+
+def test_gates_are_drawn_where_they_are_judged_and_touched_by_nothing(duel):
+    model = duel.scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for i, centre in enumerate(duel.gates.centre):
+        beams = {name: model.geom(f"gate-{i}/{name}").id for name in ("left", "right", "top", "bottom")}
+        offsets = np.array([data.geom_xpos[beam] - centre for beam in beams.values()])
+        left, up = 0.53 * np.asarray(duel.gates.left[i]), np.array([0, 0, 0.53])  # m, beams are 6 cm thick
+        np.testing.assert_allclose(offsets, [left, -left, up, -up], atol=1e-6)
+        assert not model.geom_contype[list(beams.values())].any()
+        assert not model.geom_conaffinity[list(beams.values())].any()
 
 
 @pytest.mark.parametrize("track", TRACKS.values())
@@ -274,7 +294,7 @@ class Favoured(Race):
 SHORT = RaceSettings(rules=RaceRules(episode=1.0, take_off=0.2, walls=True))
 
 
-@pytest.mark.parametrize("teams", [1, 2, 3])
+@pytest.mark.parametrize("teams", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_it_keeps_the_contract_and_its_teams_can_change_places(teams):
     settings = replace(SHORT, teams=teams)
     arena = settings.build(engine="c", worlds=WORLDS)
