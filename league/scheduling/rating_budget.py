@@ -37,5 +37,6 @@ def describe_share(share: float, trained: float, rated: float, episodes: int = 0
     asked = "as much as they get" if share == 1.0 else f"{100 * share:.3g} %"
     if not trained:
         return f"nobody has learnt yet (rating.share: {asked})"
-    pace = f", {episodes / rated:.3g} games per second of a device" if episodes and rated else ""
+    speed = episodes / rated if rated else 0.0
+    pace = f", {speed:{',.0f' if speed >= 100 else '.3g'}} games per second of a device" if speed else ""
     return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked}){pace}"
