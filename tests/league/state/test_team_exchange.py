@@ -11,6 +11,7 @@ from agents.settings import Architecture
 from arenas.contract.check import FOUND
 from arenas.contract.check import examine as checked
 from league.commands import cli
+from league.config import presets
 from league.config.experiment import Config
 from league.config.schema import ConfigError
 from league.matches.adhoc_matches import pairing
@@ -121,7 +122,7 @@ def test_a_policy_of_one_side_is_not_taken_for_the_other(store, tmp_path):
             bring_in(Open(away, "main"), plain, "other")
 
 
-THREE = """
+NINE = """
 from dataclasses import dataclass
 from tests.arenas.chase import Tag
 from arenas.arena import Arena
@@ -129,31 +130,38 @@ from arenas.arena_settings import Timing
 from arenas.robots.robot import Robot
 
 
-class Three(Tag):
+class Nine(Tag):
     def __init__(self, settings, **where):
-        Arena.__init__(self, "three", dict.fromkeys("abc", (Robot("player", 1),)), Timing(), {}, **where)
+        Arena.__init__(self, "nine", dict.fromkeys("abcdefghi", (Robot("player", 1),)), Timing(), {}, **where)
 
 
 @dataclass(frozen=True)
 class Settings:
-    name: str = "three"
+    name: str = "nine"
 
     def build(self, **where):
-        return Three(self, **where)
+        return Nine(self, **where)
 
 
 ARENAS = (Settings(),)
 """
 
 
-def test_three_teams_are_refused_by_the_check_and_by_a_run(tmp_path):
-    file = tmp_path / "three.py"
-    file.write_text(THREE)
-    (result,) = checked(f"{file}:three")
+def test_nine_teams_are_refused_by_the_check_and_by_a_run(tmp_path):
+    file = tmp_path / "nine.py"
+    file.write_text(NINE)
+    (result,) = checked(f"{file}:nine")
     assert result[:2] == (FOUND, False)
-    assert "3 teams (a, b, c): games of more than 2 teams cannot be rated yet" in result.detail
-    with pytest.raises(
-        ConfigError, match=r"^3 teams \(a, b, c\): games of more than 2 teams cannot be rated yet.*"
-    ) as no:
-        validate(Config(arena=arenas.settings(f"{file}:three")))
+    assert "9 teams (a, b, c, d, e, f, g, h, i): an arena has at most 8; leave some out" in result.detail
+    with pytest.raises(ConfigError, match=r"^9 teams \(a, b, c, d, e, f, g, h, i\): an arena has at most 8") as no:
+        validate(Config(arena=arenas.settings(f"{file}:nine")))
     assert "\n" not in no.value.message
+
+
+def test_a_batch_of_rating_matches_needs_a_world_for_each_seating():
+    config = presets.preset("tag")
+    config = replace(config, rating=replace(config.rating, worlds=4, pairings=2), engine="c")
+    with pytest.raises(
+        ConfigError, match=r"rating\.worlds = 4: each of 2 lineups needs a world for each of 3 seatings"
+    ):
+        validate(config)
