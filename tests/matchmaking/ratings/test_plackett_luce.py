@@ -177,7 +177,7 @@ def test_ties_in_large_fields_are_fitted():
     rng, games = np.random.default_rng(4), []
     for _ in range(60):
         who = rng.choice(50, 40, replace=False)
-        places = np.cumsum(rng.random(40) > 0.15)
+        places = np.cumsum(rng.random(40) > 0.3)
         games.append({int(player): float(place) for player, place in zip(who, places, strict=True)})
     problem = PlackettLuce(events(*games), 50, priors.average(4.0))
     assert max(problem.orders) >= 5
