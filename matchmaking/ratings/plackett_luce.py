@@ -68,6 +68,18 @@ class PlackettLuce(PenalisedLikelihood):
             found += np.bincount(of.ravel(), np.broadcast_to(number, of.shape).ravel(), len(found))
         return found
 
+    def start(self) -> np.ndarray:
+        """Return even strengths, and tie terms with which ties are about as frequent as they were.
+
+        Among equals the odds of a tie of k of n players against a single best are δ_k (n over k) / n. With δ_k = 1
+        large groups would be so likely that steps from there overshoot.
+        """
+        x = np.zeros(len(self.free))
+        for number, place in enumerate(self._fitted):
+            odds = sum(each.tie_odds[number] for each in self._sets)
+            x[self.size + 1 + place] = math.log(sum(each.ties[number] for each in self._sets) / odds)
+        return x
+
     def ties(self, x: np.ndarray) -> dict[int, float]:
         """Return δ_k of every number k of players that were once tied."""
         return {self.orders[place]: math.exp(x[self.size + 1 + place]) for place in self._fitted}

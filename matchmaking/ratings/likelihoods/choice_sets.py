@@ -14,6 +14,7 @@ all by division by 1 + β z. What its differences lose in digits is small beside
 which is part of Z. Below R is the number of rankings, K that of tie orders, C that of pairs of positions.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -57,6 +58,10 @@ class ChoiceSets:
         # of each player in its group's statistic
         self.share = np.ascontiguousarray(np.where(ranks < n, number[:, None] / size, 0.0).T)
         self.ties = np.array([self.choices.T[chosen & (size == k)].sum() for k in orders[1:]])
+        sizes = self.choices.sum(1)  # of the choices among n, n - 1, ... players
+        self.tie_odds = [
+            sum(c * math.comb(n - i, k) / (n - i) for i, c in enumerate(sizes.tolist())) for k in orders[1:]
+        ]
         self.ahead, self.behind = np.triu_indices(n, 1)
 
     def parts(self) -> list[slice]:

@@ -138,6 +138,10 @@ class PenalisedLikelihood(ABC):
             return np.linalg.solve(self.information(x, terms) + self.location, right)
         return self.sparse_information(x, terms).solver(STEP_TOLERANCE)(right[:, None])[:, 0]
 
+    def start(self) -> np.ndarray:
+        """Return parameters (P + T,) from which the maximum is sought."""
+        return np.zeros(len(self.free))
+
     @property
     def is_dense(self) -> bool:
         """True if a step is solved in a table of all pairs."""
@@ -186,12 +190,12 @@ class PenalisedLikelihood(ABC):
 
 
 def maximise(problem: PenalisedLikelihood, steps: int = 100) -> np.ndarray:
-    """Return the maximum by Newton's method from even odds, halving each step until the objective does not fall.
+    """Return the maximum by Newton's method from `start`, halving each step until the objective does not fall.
 
     It is Fisher scoring here, since the models are exponential families. Without a maximum it ends far out, where the
     information vanishes (`matchmaking.ratings.likelihoods.undefeated` looks for that), or raises NotConverged.
     """
-    x, decrement = np.zeros(len(problem.free)), math.inf
+    x, decrement = problem.start(), math.inf
     value, terms = problem.evaluate(x)
     for _ in range(steps):
         gradient = problem.gradient(x, terms)
@@ -200,7 +204,7 @@ def maximise(problem: PenalisedLikelihood, steps: int = 100) -> np.ndarray:
         except (np.linalg.LinAlgError, SolverNotConverged) as error:
             raise NotConverged(x, str(error)) from error
         decrement, floor = gradient @ step, value - 1e-12 * abs(value)
-        while (trial := problem.evaluate(x + step))[0] < floor:
+        while not (trial := problem.evaluate(x + step))[0] >= floor:  # nor is it a number where a step goes far too far
             step = step / 2
         x, (value, terms) = x + step, trial
         if decrement < 1e-16 * (1 + abs(value)) or np.abs(step).max() < 1e-10:

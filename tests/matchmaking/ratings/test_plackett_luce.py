@@ -172,6 +172,20 @@ def test_every_pair_of_a_lineup_counts_as_one_game():
     assert payoff.at_fault.tolist() == [[1, 0], [1, 2], [0, 2]]
 
 
+def test_ties_in_large_fields_are_fitted():
+    """Among 40 equals with δ_5 = 1 ties of five would be 16,000 times as likely as a single best."""
+    rng, games = np.random.default_rng(4), []
+    for _ in range(60):
+        who = rng.choice(50, 40, replace=False)
+        places = np.cumsum(rng.random(40) > 0.3)
+        games.append({int(player): float(place) for player, place in zip(who, places, strict=True)})
+    problem = PlackettLuce(events(*games), 50, priors.average(4.0))
+    assert max(problem.orders) >= 5
+    x = maximise(problem)
+    assert np.abs(problem.gradient(x, problem.terms(x))).max() < 1e-6
+    assert all(0 < delta < 0.1 for delta in problem.ties(x).values())
+
+
 def test_a_snapshot_that_plays_several_teams_is_rated():
     ratings = fit(sum_matches([ranked("aab", {(1, 2, 3): 4, (3, 2, 1): 2, (2, 3, 1): 2})]), prior=0)
     # Alone b wins 4 of 8 first choices against two of strength a: π_b / (2 π_a + π_b) = ½. Whoever follows tells too.
