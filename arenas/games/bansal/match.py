@@ -69,7 +69,11 @@ class Contest(Arena):
         if not robot.feet:
             raise ArenaError(f"robot {settings.robot} has no feet: name them in its robot file, feet = [bodies]")
         kind = kind_of(settings.robot)
-        solver = Solver(contacts=SPARE_CONTACTS + 2 * kind.contacts, rows=SPARE_ROWS + 2 * kind.rows + more_rows)
+        solver = Solver(
+            cone=settings.rules.cone,
+            contacts=SPARE_CONTACTS + 2 * kind.contacts,
+            rows=SPARE_ROWS + 2 * kind.rows + more_rows,
+        )
         super().__init__(
             settings.name, {team: (robot,) for team in settings.teams}, settings.timing, asdict(settings.rules),
             solver=solver, derived=derived, props=props, marker_kinds=marker_kinds, **options,

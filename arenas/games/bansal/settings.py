@@ -209,7 +209,7 @@ def _biped(rules: R) -> R:
     """Return rules with the pace of humanoids: 200 physics steps and 50 decisions per second, the original's 333 and
     67.
     """
-    return replace(rules, timestep=0.005, substeps=4, episode=7.5, start_height=1.4)
+    return replace(rules, timestep=0.005, substeps=4, episode=7.5, start_height=1.4, cone="pyramidal")
 
 
 def _fighter(reward: W) -> W:

@@ -22,7 +22,7 @@ OTHERS = ("jax", "warp")
 # Rovers, blocks, a ball, tanks and drones meet in these; each robot alone is compared in test_bodies_on_engines.py.
 IN_CI = {
     ("sumo-1v1", "jax"), ("sumo-1v1", "warp"), ("block-push-leatherback", "warp"), ("soccer-1v1", "warp"),
-    ("galaga-1v1", "warp"),
+    ("galaga-1v1", "warp"), ("sumo-ants", "warp"),
 }  # fmt: skip
 TRIED = [
     pytest.param(name, engine, marks=pytest.mark.slow if (name, engine) in IN_CI else pytest.mark.gpu)
