@@ -95,7 +95,7 @@ class Rankings:
             found = table.reshape(-1, 3).astype(np.int64)
             met = np.flatnonzero(found.any(1))
             return *np.divmod(met, max(size, 1)), found[met]
-        keys, counts = [], []
+        keys, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]  # there may be no rankings
         for key, many in self._outcomes(size):
             found, inverse = np.unique(key, return_inverse=True)
             keys.append(found)

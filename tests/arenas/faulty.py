@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from arenas.description import Entities
 from tests.arenas.race import Race
 
 
@@ -105,6 +106,11 @@ class Unshakeable(Race):
 class Misspoken(Race):
     def game_scripts(self):
         return {"shout": {"puck": lambda observation, key: observation}}
+
+
+class Unsorted(Race):
+    def observation_entities(self, agent):
+        return (Entities("rivals", ((0, 1), (5, 6))),)
 
 
 class Unpainted(Race):

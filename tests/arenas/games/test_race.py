@@ -278,7 +278,7 @@ def test_a_drone_sees_its_next_gates_and_the_other_in_its_own_frame(duel):
     np.testing.assert_allclose(read(seen).gates[0], wanted, atol=1e-6)
     np.testing.assert_allclose(seen[42:], [2, 0, 0, 0, -1, 0, 2, 1], atol=1e-6)
     (others,) = duel.observation_entities("blue/0")
-    assert others.index == (tuple(range(42, 50)),)
+    assert others.places == (tuple(range(42, 50)),)
     gone = duel.observe(physics, game._replace(flying=jnp.array([True, False])), {n: jnp.zeros(4) for n in duel.robots})
     np.testing.assert_allclose(gone["blue/0"][42:], [0, 0, 0, 0, 0, 0, 2, 0])
 

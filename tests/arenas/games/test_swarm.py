@@ -108,7 +108,7 @@ def test_others_are_seen_in_blocks_with_a_flag_and_zeros_once_they_are_out(swarm
 def test_the_sets_that_networks_may_encode_are_the_blocks(swarm):
     found = seen(swarm, {}, state())
     for agent, kind in (("swarm/1", "puck"), ("guards/0", "leatherback")):
-        sets = {each.name: found[agent][np.array(each.index)] for each in swarm.observation_entities(agent)}
+        sets = {each.name: found[agent][np.array(each.places, int)] for each in swarm.observation_entities(agent)}
         view = read(found[agent], kind, SMALL)
         wanted = {"pucks": view.pucks, "leatherbacks": view.rovers}
         assert set(sets) == {name for name, blocks in wanted.items() if len(blocks)}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from league.commands.analyse.csv_columns import Columns, quick
-from league.commands.analyse.csv_log import LARGEST, SEED_PAIR, _places, choose, parse, sums
+from league.commands.analyse.csv_columns import Columns, column_places, quick
+from league.commands.analyse.csv_log import COLUMNS, LARGEST, SEED_PAIR, choose, parse, sums
 from league.commands.analyse.payoffs import meta, payoff
 from league.config.schema import ConfigError
 from league.queries.query import Open
@@ -38,7 +38,7 @@ def slowly(text: str, monkeypatch) -> Columns:
 def test_a_log_read_in_bulk_is_the_one_read_row_by_row(monkeypatch, end):
     monkeypatch.setattr("league.commands.analyse.csv_columns.CHUNK", 70)
     text = end.join([HEAD, *rows(300), "", "   "])
-    places = _places(HEAD.split(","), "log.csv")
+    places = column_places(HEAD.split(","), "log.csv", COLUMNS, [SEED_PAIR])
     assert quick(text, ",", places, 8, LARGEST, SEED_PAIR) is not None
     both = [parse(text, "log.csv"), slowly(text, monkeypatch)]
     for arena in ("pit0", "pit1"):

@@ -137,8 +137,8 @@ def test_standing_reads_only_what_is_new_and_nothing_where_nothing_changed(tmp_p
     assert LeagueState.of(store, "cup", first) is first
     monkeypatch.undo()
     asked = []
-    matches = store.matches
-    monkeypatch.setattr(store, "matches", lambda *a, after=0: asked.append(after) or matches(*a, after=after))
+    log = store.log
+    monkeypatch.setattr(store, "log", lambda *a, after=0: asked.append(after) or log(*a, after=after))
     finish(store, matches=[match("blue@4", "blue@0", 2, 0), match("blue@4", "blue@0", 9, 9, purpose="showing")])
     second = LeagueState.of(store, "cup", first)
     assert second.ladder.score("blue@4", "blue@0").games == 10

@@ -94,7 +94,7 @@ def test_an_arena_of_ones_own_needs_no_words(capsys):
     found = json.loads(out)
     assert code == 0
     assert found["roles"][0]["observation"] == [
-        {"index": "0-5", "name": "unnamed", "size": 6, "unit": "", "meaning": ""}
+        {"index": "0-5", "name": "unnamed", "size": 6, "unit": "", "meaning": "", "opponent": False}
     ]
     assert found["roles"][0]["action"][0]["name"] == "thrust"
     assert found["scripts"]["blue"] == ["idle", "random", "sprinter"]
