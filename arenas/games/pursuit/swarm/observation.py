@@ -75,7 +75,7 @@ def entities(kind: str, settings: SwarmSettings) -> tuple[Entities, ...]:
         number = room - (each == kind)
         found.append(Entities(f"{each}s", entity_places(first, number, OTHER_SIZES[each])))
         first += number * OTHER_SIZES[each]
-    return tuple(each for each in found if each.index)
+    return tuple(each for each in found if each.places)
 
 
 def observe(state: PlanarState, settings: SwarmSettings) -> list[Array]:
