@@ -113,7 +113,7 @@ def test_every_step_of_the_hour_runs_in_its_order(folder, capsys):
                 train(file)
             case _, str(text):
                 (folder / name).write_text(text)
-    assert out.count("ok  ") == 25
+    assert out.count("ok  ") == 26
     assert re.search(r"ppo against guest: \d+ won", out)
 
 
