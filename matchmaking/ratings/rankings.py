@@ -88,6 +88,8 @@ class Rankings:
 
     def pairs(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the pairs that met: first (E,), second (E,) with the larger index, and wins, draws, losses (E, 3)."""
+        if not self.blocks:
+            return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3), int)
         if size * size <= MAX_TABLE:
             table = np.zeros(3 * size * size)
             for key, many in self._outcomes(size):
@@ -95,7 +97,7 @@ class Rankings:
             found = table.reshape(-1, 3).astype(np.int64)
             met = np.flatnonzero(found.any(1))
             return *np.divmod(met, max(size, 1)), found[met]
-        keys, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]  # there may be no rankings
+        keys, counts = [], []
         for key, many in self._outcomes(size):
             found, inverse = np.unique(key, return_inverse=True)
             keys.append(found)
