@@ -17,6 +17,7 @@ from arenas.physics.cpu import cores
 from arenas.physics.engine import DYNAMICS, Engine, Law, Physics, StepResult, float_shape
 
 STATE = ("qpos", "qvel", "qacc_warmstart", "act", "ctrl")  # all of a simulation that outlives a call
+MOVING = ("qpos", "qvel", "act")  # what is not finite in a simulation that broke
 PUSH = "xfrc_applied"  # also an input, in arenas that push bodies
 Arrays = Mapping[str, Any]
 
@@ -125,35 +126,80 @@ class CEngine(Engine):
 
     def _fields_of(self, found: Arrays, state: Arrays, model: Arrays) -> None:
         with self._lock:
-            batch = self._loaded(state, model).batch
-            outputs = {name: batch.bind(name) for name in found}
-            batch.forward(stage=self._stage)
+            rows = self._loaded(state, model)
+            outputs = {name: rows.batch.bind(name) for name in found}
+            broken = rows.forward(self._stage)
             for name, values in found.items():
-                _copy_as_float32(values.reshape(outputs[name].shape), outputs[name])
+                out = values.reshape(outputs[name].shape)
+                _copy_as_float32(out, outputs[name])
+                out[broken] = np.nan
 
 
 class Simulations:
     """Simulations, and live views (worlds, ...) of their states and of those model fields that are their own."""
 
     def __init__(self, batch: Batch, own: Sequence[str]):
+        self._begin(batch, own)
+
+    def _begin(self, batch: Batch, own: Sequence[str]) -> None:
         self.batch = batch
         self.state = {name: batch.bind(name) for name in (*STATE, PUSH)}
         self.model = {name: batch.expand(name) for name in own}
 
     def advance(self, n: int, law: Law | None, command: np.ndarray) -> np.ndarray:
-        """Advance all by `n` substeps. Return (worlds,) bool: MuJoCo failed, or warned since warnings were last
-        cleared.
+        """Advance all by `n` substeps. Return (worlds,) bool: MuJoCo failed, warned since warnings were last cleared,
+        or gave numbers that are not finite.
         """
         failed = np.zeros(self.batch.nsim, bool)
-        ctrl = self.state["ctrl"]
         for _ in range(1 if law is None else n):
             if law is not None:
-                ctrl[:] = law(self.state["qpos"], self.state["qvel"], command)
+                self.state["ctrl"][:] = law(self.state["qpos"], self.state["qvel"], command)
+            failed |= self._step(n if law is None else 1)
+        return failed | self.batch.warning[:, :, 1].any(axis=1)  # (worlds, kinds, [detail, count]): bad numbers, ...
+
+    def forward(self, stage: mujoco.mjtStage) -> np.ndarray:
+        """Compute what follows from the states. Return (worlds,) bool: those whose numbers are not finite."""
+        broken = self._broken()
+        if not broken.all():
+            self.batch.forward(np.flatnonzero(~broken), stage=stage)
+        return broken
+
+    def _step(self, n: int) -> np.ndarray:
+        """Advance all by `n` substeps. Return (worlds,) bool: MuJoCo failed, or numbers are not finite, as they stay.
+
+        The simulations of a thread share memory. In some models MuJoCo 3.17 damps no velocities of a simulation after
+        it has stepped one that is all NaN. Broken simulations are therefore left out; if one breaks within the call,
+        the others take it again without it, in new memory.
+        """
+        broken, failed = self._broken(), np.zeros(self.batch.nsim, bool)
+        start = {name: values.copy() for name, values in self.state.items()}
+        warnings = self.batch.warning.copy()
+        while not broken.all():
             try:
-                self.batch.step(nstep=n if law is None else 1)
+                self.batch.step(np.flatnonzero(~broken), nstep=n)
             except SimulationError as error:
                 failed[error.ids] = True
-        return failed | self.batch.warning[:, :, 1].any(axis=1)  # (worlds, kinds, [detail, count]): bad numbers, ...
+            new = self._broken() & ~broken
+            if not new.any():
+                break
+            broken |= new
+            self._renew(start, warnings)
+        for name in MOVING:
+            self.state[name][broken] = np.nan
+        return failed | broken
+
+    def _renew(self, state: Arrays, warnings: np.ndarray) -> None:
+        """Make the simulations anew, with this state and these warnings, and the model fields of before."""
+        before = self.model
+        self._begin(Batch(self.batch.model, self.batch.nsim, self.batch.nthread), tuple(before))
+        for values, own in ((state, self.state), (before, self.model)):
+            for name, value in values.items():
+                own[name][:] = value
+        self.batch.warning[:] = warnings
+
+    def _broken(self) -> np.ndarray:
+        """Return (worlds,) bool: numbers of the state are not finite."""
+        return ~np.logical_and.reduce([np.isfinite(self.state[name]).all(axis=1) for name in MOVING])
 
 
 def accepts_batches(law: Law, model: mujoco.MjModel) -> bool:

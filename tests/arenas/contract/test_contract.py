@@ -37,12 +37,6 @@ ONE_OF_EACH_GAME = {
 }  # fmt: skip
 
 
-# On the C engine, worlds beside a broken one may lose damping for a control step where many bodies are free: a known
-# fault, which `league check` shows. All other promises are examined.
-CROWDED = ("gate-race-4", "swarm")
-LEAKS = ("unstable physics", "non-finite actions", "recorded frames")
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in arenas.names()]
 )
@@ -51,8 +45,7 @@ def test_arenas_keep_the_contract(name):
     settings = arenas.settings(name)
     if hasattr(settings.rules, "episode"):
         settings = replace(settings, rules=replace(settings.rules, episode=min(2.0, settings.rules.episode)))
-    known = LEAKS if name in CROWDED else ()
-    assert [fault for fault in broken(settings, "c") if not fault.name.startswith(known)] == []
+    assert broken(settings, "c") == []
 
 
 @pytest.mark.parametrize(
