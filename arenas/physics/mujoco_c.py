@@ -176,7 +176,7 @@ class Simulations:
         warnings = self.batch.warning.copy()
         while not broken.all():
             try:
-                self.batch.step(np.flatnonzero(~broken), nstep=n)
+                self.batch.step(np.flatnonzero(~broken) if broken.any() else None, nstep=n)
             except SimulationError as error:
                 failed[error.ids] = True
             new = self._broken() & ~broken
