@@ -3,6 +3,7 @@
 Nothing here loads jax or mujoco. `docs/arenas/bansal.md` has the original's numbers beside ours.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar, Unpack
 
@@ -34,7 +35,7 @@ OWN, OPPONENT, TIME = 6, 12, 1  # numbers of the observation besides propriocept
 
 
 @dataclass(frozen=True)
-class ContestSettings(WithTerms):
+class ContestSettings(WithTerms, ABC):
     """Settings of all these games."""
 
     name: str
@@ -92,16 +93,17 @@ class ContestSettings(WithTerms):
         agent = AgentOutline(file.name if file else self.robot, size, kind.action_size)
         return Outline(self.summary(), dict.fromkeys(self.teams, (agent,)), self.timing, "bansal")
 
+    @abstractmethod
     def summary(self) -> str:
         """Describe the game in a few words."""
-        raise NotImplementedError
 
     def build(self, **options: Unpack[EngineOptions]) -> "Arena":
         """Build the arena."""
         return with_terms(self._make(**options), self)
 
+    @abstractmethod
     def _make(self, **options: Unpack[EngineOptions]) -> "Arena":
-        raise NotImplementedError
+        """Build the arena without terms of others."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 - `tagger`: does both.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,8 @@ LEAD = 0.5  # s, the longest prediction of a chaser
 ANGLES = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)  # (16, 2)
 MOMENTS = np.linspace(0.1, 1.0, 10)  # s from now
+
+Choice = Callable[[TagView], Array]
 
 
 def of_game(rules: TagRules) -> Mapping[str, Mapping[str, Script]]:
@@ -43,10 +45,10 @@ def of_game(rules: TagRules) -> Mapping[str, Mapping[str, Script]]:
     def rest(view: TagView) -> Array:
         return jnp.zeros(2)
 
-    def script(as_it: object, else_: object) -> Script:
+    def script(as_it: Choice, else_: Choice) -> Script:
         def act(observation: Array, key: Array) -> Array:
             view = read(observation)
-            return jax.lax.select(view.is_it > 0.5, as_it(view), else_(view))  # type: ignore[operator]
+            return jax.lax.select(view.is_it > 0.5, as_it(view), else_(view))
 
         return act
 

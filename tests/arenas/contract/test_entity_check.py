@@ -20,7 +20,7 @@ def run():
 
 
 def of(run, sets):
-    """What the check finds if the first predator names these sets."""
+    """The check's finding if the first predator names these sets."""
     return entity_check.of_agent(run, replace(run.arena.agents[0], entities=sets))
 
 

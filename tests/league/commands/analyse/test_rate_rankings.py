@@ -16,28 +16,11 @@ FRUITS = [
 
 
 @pytest.fixture
-def rate(tmp_path, monkeypatch, capsys):
-    """Run the command on these rows: exit code, what it printed, what it complained of."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "100")
+def rate(rate_file):
+    """Run the command on these rows: exit code, output, complaint."""
 
     def run(rows, *args, head="event,player,rank"):
-        (tmp_path / "log.csv").write_text("\n".join([head, *rows]) if head else "")
-        with pytest.raises(SystemExit) as left:
-            main(["rate", "--rankings", "log.csv", *args])
-        return left.value.code, *capsys.readouterr()
-
-    return run
-
-
-@pytest.fixture
-def rated(rate):
-    """What it says as JSON."""
-
-    def run(rows, *args, **named):
-        code, out, err = rate(rows, *args, "--format", "json", **named)
-        assert (code, err) == (0, "")
-        return json.loads(out)
+        return rate_file(rows, "--rankings", "log.csv", *args, head=head)
 
     return run
 
