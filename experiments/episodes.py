@@ -8,7 +8,7 @@ from league.config.experiment import Config
 from league.matches.evaluator import MatchEvaluator
 from league.state.jobs import RatingMatch
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.records import Snapshot
 from storage.store import Store
 

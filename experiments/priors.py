@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import league
-from matchmaking.ratings import priors
 from matchmaking.ratings.davidson import davidson
 from matchmaking.ratings.fit import ELO, Ratings, fit
+from matchmaking.ratings.likelihoods import priors
+from matchmaking.ratings.likelihoods.priors import Prior
 from matchmaking.ratings.payoff import Payoff, sum_matches
-from matchmaking.ratings.priors import Prior
 from scripts.record import make_parser, report, run_info
 from storage.records import ArenaKey, Match, PairCounts
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
-from matchmaking.ratings.payoff import Score, score_interval
+from matchmaking.ratings.scores import Score, score_interval
 from storage.records import Phase
 
 Kind = Literal["simultaneous", "leapfrog", "ladder", "frozen"]

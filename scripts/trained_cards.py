@@ -35,7 +35,7 @@ from league.snapshots import policy_file
 from league.state.jobs import RatingMatch
 from league.system.packages.versions import versions
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.records import Match
 from storage.store import Store
 

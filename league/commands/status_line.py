@@ -16,7 +16,7 @@ from league.scheduling.progress_metrics import newest_snapshots, score_against_i
 from league.state.league_state import LeagueState
 from league.state.liveness import is_dead
 from league.state.void_rates import warnings as void_warnings
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.records import Phase, Snapshot, Worker
 
 NARROW = 80  # columns if the output is not a terminal

@@ -10,7 +10,7 @@ from league.snapshots.programs import callables, importing, stored
 from league.snapshots.programs.kinds import kind_of
 from league.state.jobs import RatingMatch
 from league.state.match_results import results_of
-from matchmaking.ratings.payoff import Score, score_interval
+from matchmaking.ratings.scores import Score, score_interval
 from storage.records import Match, RankedMatch, Snapshot
 
 if TYPE_CHECKING:

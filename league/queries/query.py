@@ -14,7 +14,7 @@ from league.state.curriculum_stage import at_work
 from league.state.void_rates import names as cause_names
 from league.system.provenance import LINE, code_of
 from matchmaking.ratings.ladder import Ladder, Pool
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.errors import NoLeague, StorageError, UnknownName
 from storage.records import RATED_PURPOSES, ArenaKey, CurvePoint, Match, Player, RankedMatch, Snapshot
 from storage.store import Store

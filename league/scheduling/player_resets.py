@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from league.scheduling.opponent_sampling import met_in, records
 from league.state.league_state import LeagueState
-from matchmaking.ratings.payoff import Score, score_interval
+from matchmaking.ratings.scores import Score, score_interval
 from matchmaking.roles import MAIN, Role
 from storage.records import Player, Snapshot
 

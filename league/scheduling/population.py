@@ -15,7 +15,7 @@ import numpy as np
 
 from league.state.league_state import LeagueState
 from matchmaking.pbt import draw_partner, present_name
-from matchmaking.ratings.payoff import Score, quantile
+from matchmaking.ratings.scores import Score, quantile
 from matchmaking.schedule import phase_score
 from storage.records import Meeting, Player, Snapshot
 

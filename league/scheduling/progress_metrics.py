@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from matchmaking.match_design import HISTORY_OFFSETS, RequiredOpponents, others_after
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.records import Player, Snapshot
 
 if TYPE_CHECKING:  # for their types only: a query does not import the configuration

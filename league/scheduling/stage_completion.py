@@ -13,7 +13,7 @@ from league.config.experiment import Config
 from league.config.sections import Budget, Rating
 from league.scheduling.progress_metrics import initial_opponents
 from league.state.league_state import LeagueState
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.records import Player, Snapshot
 
 HALF = 0.5

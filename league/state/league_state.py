@@ -9,7 +9,7 @@ from typing import NamedTuple
 from league.state.void_rates import Voids
 from league.state.void_rates import found as voids_found
 from matchmaking.ratings.ladder import Ladder, Pool
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from matchmaking.schedule import Schedule, phase_score
 from storage.records import (
     RATED_PURPOSES,

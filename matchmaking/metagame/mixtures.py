@@ -13,7 +13,8 @@ import numpy as np
 from matchmaking.metagame.nash import Equilibrium
 from matchmaking.ratings.davidson import expected_score
 from matchmaking.ratings.fit import ELO, Ratings
-from matchmaking.ratings.payoff import Payoff, effective_games
+from matchmaking.ratings.payoff import Payoff
+from matchmaking.ratings.scores import effective_games
 
 SEED = 1
 """Seed of sampled tables: the same games give the same intervals."""

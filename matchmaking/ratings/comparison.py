@@ -29,7 +29,7 @@ from typing import NamedTuple
 from matchmaking.ratings.davidson import expected_score
 from matchmaking.ratings.fit import ELO
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.payoff import Score, quantile
+from matchmaking.ratings.scores import Score, quantile
 
 CYCLIC_ELO = 100.0
 """Elo: amplitude of the cyclic term that the model cannot express and a statement has to survive."""

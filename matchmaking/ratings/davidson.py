@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from matchmaking.ratings.likelihoods.penalised import Moments, PenalisedLikelihood
+from matchmaking.ratings.likelihoods.priors import Prior
 from matchmaking.ratings.payoff import Payoff
-from matchmaking.ratings.priors import Prior
 
 
 class Outcome(NamedTuple):

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matchmaking.ratings import priors
 from matchmaking.ratings.davidson import Likelihood, Outcome, expected_score
-from matchmaking.ratings.likelihoods import undefeated
+from matchmaking.ratings.likelihoods import priors, undefeated
 from matchmaking.ratings.likelihoods.covariance import StrengthCovariance
 from matchmaking.ratings.likelihoods.penalised import PenalisedLikelihood, maximise
-from matchmaking.ratings.payoff import PAIR_SCORES, Payoff, quantile
+from matchmaking.ratings.likelihoods.priors import Prior
+from matchmaking.ratings.payoff import Payoff
 from matchmaking.ratings.plackett_luce import PlackettLuce
-from matchmaking.ratings.priors import Prior
+from matchmaking.ratings.scores import PAIR_SCORES, quantile
 
 ELO = 400 / math.log(10)  # Elo points per unit of log odds: 400 points are odds of 10 wins to 1 loss
 DISPERSION_PRIOR = 2.0  # virtual variance, of four decisive seed pairs between equals, with the pooled dispersion
@@ -200,7 +200,8 @@ def fit(
 
     Args:
         payoff: counts of all games.
-        prior: see matchmaking.ratings.priors; a number is that of virtual games with the `opponents`, 0 is no prior.
+        prior: see matchmaking.ratings.likelihoods.priors; a number is that of virtual games with the `opponents`,
+            0 is no prior.
         anchors: names of snapshots whose mean is placed at `anchor_elo`; all that have played if empty.
         anchor_elo: fixed point of the scale.
         populations: snapshot -> population, if snapshots of one population never meet each other. Strength is then

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from matchmaking.ratings.fit import Ratings, fit
-from matchmaking.ratings.payoff import Payoff, Score, score_interval, sum_matches
-from matchmaking.ratings.priors import parents
+from matchmaking.ratings.likelihoods.priors import parents
+from matchmaking.ratings.payoff import Payoff, sum_matches
+from matchmaking.ratings.scores import Score, score_interval
 from matchmaking.ratings.separation import Separation, examined, islands
 from storage.records import ArenaKey, Match, MatchTotals, Player, RankedMatch, Snapshot
 
@@ -118,7 +119,9 @@ class Ladder:
 
     @cached_property
     def ratings(self) -> Ratings:
-        """Fit of all games (`matchmaking.ratings.fit`), with a prior on parents (`matchmaking.ratings.priors`)."""
+        """Fit of all games (`matchmaking.ratings.fit`), with a prior on parents
+        (`matchmaking.ratings.likelihoods.priors`).
+        """
         payoff = self.payoff
         played = [name for name in self.anchors if payoff.played[payoff.index(name)]]
         return fit(

@@ -15,7 +15,7 @@ import numpy as np
 from matchmaking.ratings.likelihoods.choice_sets import ChoiceSets, Values
 from matchmaking.ratings.likelihoods.information import MAX_DENSE
 from matchmaking.ratings.likelihoods.penalised import Moments, PenalisedLikelihood
-from matchmaking.ratings.priors import Prior
+from matchmaking.ratings.likelihoods.priors import Prior
 from matchmaking.ratings.rankings import MAX_TABLE, Rankings
 
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from matchmaking import graph_algorithms
 from matchmaking.ratings.davidson import Likelihood
+from matchmaking.ratings.likelihoods.priors import none
 from matchmaking.ratings.likelihoods.tie_separation import tie_direction
 from matchmaking.ratings.payoff import Payoff
-from matchmaking.ratings.priors import none
 
 Bound = Literal["above", "below", "both"]
 """Direction in which a parameter has no bound."""

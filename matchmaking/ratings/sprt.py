@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from matchmaking.ratings.payoff import PAIR_SCORES, score_interval
+from matchmaking.ratings.scores import PAIR_SCORES, score_interval
 
 Model = Literal["logistic", "normalized"]
 Decision = Literal["accept", "reject", "continue"]
@@ -38,7 +38,7 @@ class SprtResult(NamedTuple):
     upper: float
     decision: Decision
     elo: float  # logistic; nan without a pair, infinite if A won or lost every game
-    low: float  # 95 % interval of it, from the score's: see payoff.score_interval
+    low: float  # 95 % interval of it, from the score's: see scores.score_interval
     high: float
 
 

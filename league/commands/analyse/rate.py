@@ -15,8 +15,8 @@ from league.config import text_files
 from league.config.durations import check_duration
 from league.config.schema import ConfigError
 from league.queries.ratings import unbounded_fits
-from matchmaking.ratings import priors
 from matchmaking.ratings.fit import Ratings, fit
+from matchmaking.ratings.likelihoods import priors
 from matchmaking.ratings.likelihoods.penalised import NotConverged
 from matchmaking.ratings.likelihoods.undefeated import Unbounded
 from matchmaking.ratings.separation import Separation, examined

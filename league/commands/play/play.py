@@ -9,7 +9,7 @@ from league.config.schema import ConfigError
 from league.matches.adhoc_matches import Pairing, exhibition, pairing
 from league.queries.query import score_text
 from league.state.match_results import results_of
-from matchmaking.ratings.payoff import Score, score_interval
+from matchmaking.ratings.scores import Score, score_interval
 from storage.records import Match, RankedMatch
 
 MOST = 100

@@ -17,7 +17,7 @@ from league.queries.ratings.rating_rows import (
     unlike_sides,
 )
 from matchmaking.ratings.ladder import ANCHOR_ELO, UNKNOWN, Ladder
-from matchmaking.ratings.payoff import quantile
+from matchmaking.ratings.scores import quantile
 from storage.records import ArenaKey, Snapshot
 
 RANKED = (

@@ -17,7 +17,7 @@ from matchmaking.metagame.alpharank import Decomposition, decompose, relative_po
 from matchmaking.metagame.mixtures import PayoffPosterior
 from matchmaking.metagame.nash import Equilibrium
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.payoff import Score
+from matchmaking.ratings.scores import Score
 from storage.errors import StorageError
 from storage.records import Player, Snapshot
 

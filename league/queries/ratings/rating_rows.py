@@ -10,7 +10,8 @@ import numpy as np
 
 from league.scheduling.progress_metrics import initial_opponents
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.payoff import Payoff, Score, is_suspect, score_interval
+from matchmaking.ratings.payoff import Payoff
+from matchmaking.ratings.scores import Score, is_suspect, score_interval
 from storage.errors import UnknownName
 from storage.records import ArenaKey, Player, Snapshot
 
@@ -19,7 +20,7 @@ VOID_LIMIT = 0.02
 """Share above which void episodes are suspect, if a league's settings do not give it (`rating.void_limit`)."""
 VOID_MARK = "v"
 VOID_NOTE = f"{VOID_MARK}: more episodes were void than a tenth of the games, so these games are a selection."
-"""The mark of a suspect score (see matchmaking.ratings.payoff.Score) and its meaning."""
+"""The mark of a suspect score (see matchmaking.ratings.scores.Score) and its meaning."""
 FEW = 3
 """Number of opponents below which a rating is provisional: it may reflect a match-up with these few opponents."""
 FIXED = "fixed"

@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from league.queries.ratings.rating_rows import Row
 from league.runs.comparison.cells import Cell
-from matchmaking.ratings.payoff import quantile
+from matchmaking.ratings.scores import quantile
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from matchmaking.ratings.likelihoods.information import Information, PairGraph, SolverNotConverged
-from matchmaking.ratings.priors import Prior, even_log, even_variance
+from matchmaking.ratings.likelihoods.priors import Prior, even_log, even_variance
 
 MAX_DENSE_FIT = 300
 """Maximum number of snapshots for which a step is solved in a table of all pairs; above, by the pairs that have met."""

@@ -24,7 +24,7 @@ from league.scheduling.progress_metrics import (
 )
 from league.state.league_state import LeagueState
 from matchmaking.ratings.ladder import Ladder, Pool
-from matchmaking.ratings.payoff import score_interval
+from matchmaking.ratings.scores import score_interval
 from storage.errors import StorageError
 from storage.records import CurvePoint
 from tests.league.leagues import BLUE, RED, WARP, C, filled, finish, match, player, snapshot

@@ -6,7 +6,8 @@ import pytest
 from matchmaking.ratings import ladder as module
 from matchmaking.ratings.fit import ELO, fit
 from matchmaking.ratings.ladder import Ladder, Pool
-from matchmaking.ratings.payoff import score_interval, sum_matches
+from matchmaking.ratings.payoff import sum_matches
+from matchmaking.ratings.scores import score_interval
 from storage.records import Player, Snapshot
 
 

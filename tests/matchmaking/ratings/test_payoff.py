@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from matchmaking.ratings.payoff import score_interval, sum_matches
+from matchmaking.ratings.payoff import sum_matches
+from matchmaking.ratings.scores import score_interval
 
 
 def test_counts_are_seen_from_both_sides(match):

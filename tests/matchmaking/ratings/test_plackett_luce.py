@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from matchmaking.ratings import priors
 from matchmaking.ratings.fit import ELO, fit
-from matchmaking.ratings.likelihoods import covariance, information, penalised
+from matchmaking.ratings.likelihoods import covariance, information, penalised, priors
 from matchmaking.ratings.likelihoods.penalised import maximise
 from matchmaking.ratings.likelihoods.undefeated import Unbounded
 from matchmaking.ratings.payoff import rankings_payoff, sum_matches

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from matchmaking import graph_algorithms
-from matchmaking.ratings import priors
 from matchmaking.ratings.davidson import Likelihood
+from matchmaking.ratings.likelihoods import priors
 from matchmaking.ratings.payoff import sum_matches
 from matchmaking.ratings.separation import BOUNDS, find_separation
 

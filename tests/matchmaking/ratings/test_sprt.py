@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from matchmaking.ratings.payoff import PAIR_SCORES
+from matchmaking.ratings.scores import PAIR_SCORES
 from matchmaking.ratings.sprt import NEVER, NORMALIZED, Model, SequentialTest, elo_from_score, score_from_elo
 
 # Pair counts, bounds and LLR as Fishtest printed them, in pull requests of official-stockfish/Stockfish.

@@ -135,8 +135,8 @@ def test_there_is_a_maximum_exactly_where_a_linear_programme_says_so(match):
     """Albert and Anderson 1984: it exists unless some direction lowers no game's likelihood and raises one's."""
     from scipy.optimize import linprog
 
-    from matchmaking.ratings import priors
     from matchmaking.ratings.davidson import Likelihood
+    from matchmaking.ratings.likelihoods import priors
 
     rng, found = np.random.default_rng(0), []
     for _ in range(300):

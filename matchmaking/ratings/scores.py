@@ -1,0 +1,89 @@
+"""Scores and their intervals, from wins, draws, losses and seed pairs."""
+
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+PAIR_SCORES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # mean score of a seed pair's two games: LL, LD, DD or WL, DW, WW
+SUSPECT = 0.1
+"""Void episodes as a share of the games above which a score is marked wherever it is printed."""
+
+
+def is_suspect(games: int, voids: int) -> bool:
+    """Return True if so many void episodes next to so many games make a score suspect, see Score.suspect."""
+    return voids > SUSPECT * games
+
+
+class Score(NamedTuple):
+    """A snapshot's mean score against others (win 1, draw ½, loss 0) or its success rate alone, with its interval."""
+
+    score: float  # nan without games
+    low: float
+    high: float
+    games: int
+    voids: int = 0  # episodes besides them that do not count
+
+    @property
+    def suspect(self) -> bool:
+        """True if there are more void episodes than a tenth of the games: then the games are a biased selection."""
+        return is_suspect(self.games, self.voids)
+
+
+def score_interval(wins, draws, losses, pairs=None, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Return the interval of a mean score s = (w + d/2)/n, taking account of draws and seed pairs.
+
+    It is Wilson's (1927) score interval, which never leaves [0, 1], with an effective number of games (the idea of Korn
+    and Graubard 1998 for surveys) instead of n:
+
+        n* = n² / (4 m r_pair + u r_game),   r = (k v/(s(1-s)) + z²) / (k + z²)
+
+    with m seed pairs, u games outside pairs, v the empirical variance about s of a pair's mean score (of a single
+    game's score for r_game) and k the number of pairs (games) that it comes from. s(1-s) is the largest variance that a
+    score in [0, 1] can have, so r = 1 means "every pair (game) is decisive". Adding z² such pseudo-pairs, as many as
+    Wilson's interval adds to its centre, keeps outcomes without variance from giving a width of zero: after m pairs
+    that were all won the width is Wilson's for m independent games.
+
+    Args:
+        wins: (...) games won; draws and losses broadcast with it, and all three count every valid game.
+        draws: (...) games drawn.
+        losses: (...) games lost.
+        pairs: (..., 5) counts of complete seed pairs among those games, or None.
+        confidence: coverage of the two-sided interval, between 0 and 1.
+
+    Returns:
+        low, high: arrays (...) in [0, 1]; (0, 1) without games.
+    """
+    s, effective = effective_games(wins, draws, losses, pairs, confidence)
+    z2, limit = quantile(confidence) ** 2, s * (1 - s)
+    centre = (effective * s + z2 / 2) / (effective + z2)
+    half = np.sqrt(z2 * (effective * limit + z2 / 4)) / (effective + z2)
+    return np.clip(centre - half, 0, 1), np.clip(centre + half, 0, 1)
+
+
+def effective_games(wins, draws, losses, pairs=None, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mean score s and n*, the equivalent number of decisive games; see `score_interval`."""
+    z2 = quantile(confidence) ** 2
+    wins, draws, losses = np.broadcast_arrays(*(np.asarray(x, float) for x in (wins, draws, losses)))
+    pairs = np.zeros((*wins.shape, 5)) if pairs is None else np.asarray(pairs, float)
+    n, m = wins + draws + losses, pairs.sum(-1)
+    s = (wins + draws / 2) / np.maximum(n, 1)
+    limit = s * (1 - s)
+    square_game = wins * (1 - s) ** 2 + draws * (0.5 - s) ** 2 + losses * s**2
+    square_pair = (pairs * (PAIR_SCORES - s[..., None]) ** 2).sum(-1)
+    certain = limit == 0  # only wins or only losses
+    safe = np.where(certain, 1, limit)
+    r_game = np.where(certain, 1, (square_game / safe + z2) / (n + z2))
+    r_pair = np.where(certain, 1, (square_pair / safe + z2) / (m + z2))
+    effective = n**2 / np.where(n > 0, 4 * m * r_pair + (n - 2 * m) * r_game, 1)
+    return s, effective
+
+
+def quantile(confidence: float) -> float:
+    """Return the two-sided quantile z of the standard normal distribution, e.g.
+
+    1.96 for 0.95; ValueError outside (0, 1).
+    """
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence is {confidence}; it must lie between 0 and 1, e.g. 0.95")
+    return NormalDist().inv_cdf((1 + confidence) / 2)
