@@ -101,8 +101,14 @@ class Config:
                 f"learner.chunk_length: must divide training.rollout_length, {training.rollout_length}, where"
                 f" learner.architecture.recurrent is set; use {fit}, or another rollout length"
             )
+        if training.rollout_length % (every := self.learner.skill.clock):
+            raise ValueError(
+                f"learner.skill.every: {every} must divide training.rollout_length, {training.rollout_length}: a"
+                " rollout is a whole number of commands"
+            )
         if training.worlds is not None:
             samples, of = training.worlds * training.rollout_length // chunk, " / chunk_length" if chunk > 1 else ""
+            samples, of = (samples // every, " / learner.skill.every") if every > 1 else (samples, of)
             if self.learner.minibatches > samples:
                 raise ValueError(
                     f"learner.minibatches: a batch has only {samples} samples, worlds × rollout_length{of}"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from agents.policy.skill_arrays import PREFIX
 from arenas.rosters import bare, roster_agents
 from league.config import toml
 from league.config.sections import Rating
@@ -253,8 +254,9 @@ def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.nda
 
 
 def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return a snapshot's arrays by their names in a learner's state."""
-    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in policies.items()}
+    """Return a snapshot's arrays by their names in a learner's state, which has no skills."""
+    learnt = {name: array for name, array in policies.items() if not name.partition("/")[2].startswith(PREFIX)}
+    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in learnt.items()}
 
 
 def _arrays_of(policy: policy_file.Policy) -> dict[str, np.ndarray]:
