@@ -99,7 +99,7 @@ class SkillSettings:
     is; replace: the skill observes the command instead."""
     reach: float = field(default=2.0, metadata={"above": 0.0, "high": 1000.0})
     """Largest number of a command, in the part's unit: an action of ±1 of the strategy commands ± this."""
-    every: int = field(default=10, metadata={"low": 1, "high": 1000})
+    every: int = field(default=8, metadata={"low": 1, "high": 1000})
     """Decisions of the arena for which a command is held; must divide training.rollout_length."""
     combine: Literal["choose", "blend"] = "choose"
     """Several skills of one agent: the strategy has a further action for each of them, a score. choose: the skill with

@@ -41,7 +41,7 @@ def is_over_skills(arrays: Mapping[str, Any]) -> bool:
 
 
 def strategy_of(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the strategy's own arrays; of a policy without skills all of them."""
+    """Return the arrays without those of skills: the strategy's own; of a policy without skills all of them."""
     return {name: array for name, array in arrays.items() if not name.startswith(PREFIX)}
 
 

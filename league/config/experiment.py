@@ -103,8 +103,8 @@ class Config:
             )
         if training.rollout_length % (every := self.learner.skill.clock):
             raise ValueError(
-                f"learner.skill.every: {every} must divide training.rollout_length, {training.rollout_length}: a"
-                " rollout is a whole number of commands"
+                f"learner.skill.every: must divide training.rollout_length, {training.rollout_length}: a rollout is a"
+                " whole number of commands"
             )
         if training.worlds is not None:
             samples, of = training.worlds * training.rollout_length // chunk, " / chunk_length" if chunk > 1 else ""

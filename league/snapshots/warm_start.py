@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from agents.policy.skill_arrays import PREFIX
+from agents.policy.skill_arrays import PREFIX, strategy_of
 from arenas.rosters import bare, roster_agents
 from league.config import toml
 from league.config.sections import Rating
@@ -219,7 +219,7 @@ def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[
     kept = store.checkpoint(league, player)
     if kept is None:
         raise StorageError(f"player {player} of league {league} has no checkpoint to start from")
-    state = arrays.from_bytes(store.blobs.get(kept.digest))
+    state = strategy_of(arrays.from_bytes(store.blobs.get(kept.digest)))  # its skills are not taken over
     if found := _best(store, league, player):
         snapshot, _ = found
         return f"{league}/{snapshot.name}", {**state, **_named(arrays.from_bytes(store.blobs.get(snapshot.digest)))}
