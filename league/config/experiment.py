@@ -259,7 +259,7 @@ def _check_learner_flags(config: Config, given: flags.Given) -> None:
     if HAPPO in classes:
         return
     for key in given:
-        if key[0] == "learner" and key[1] not in ("class", "settings", "critic_input"):
+        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
             raise ConfigError(
                 key,
                 f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"

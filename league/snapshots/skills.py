@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from arenas.arena import Arena
 
 
+SET = (".every", ".blend", ".reach", ".source", ".target")
+"""Ends of the names of arrays that follow from settings; others are weights."""
+
+
 class SkillError(ValueError):
     """A skill that no agent of the arena can act through: one line with the setting's name before a colon."""
 
@@ -65,14 +69,25 @@ class TeamSkills:
         return {f"{PREFIX}{i}/{name}": array for i, own in enumerate(self.arrays) for name, array in own.items()}
 
     def load(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take over the skills of a checkpoint. Raises ValueError if they have other sizes."""
-        found = [{name: state.get(f"{PREFIX}{i}/{name}") for name in own} for i, own in enumerate(self.arrays)]
-        for own, other in zip(self.arrays, found, strict=True):
+        """Take over the skills of a checkpoint. Raises ValueError for those of other settings."""
+        found: list[dict[str, np.ndarray]] = []
+        for i, own in enumerate(self.arrays):
+            other = {name: state.get(f"{PREFIX}{i}/{name}") for name in own}
             for name, array in own.items():
-                given = other[name]
-                if given is None or given.shape != array.shape:
-                    raise ValueError(f"the checkpoint has other skills than learner.skill.policies: {name} differs")
-        self.arrays = tuple({name: np.asarray(given) for name, given in other.items()} for other in found)
+                if (given := other[name]) is None or given.shape != array.shape:
+                    raise ValueError("the checkpoint has other skills than learner.skill.policies names")
+                if name.endswith(SET) and not np.array_equal(given, array):
+                    raise ValueError(f"learner.skill is not that of the checkpoint: {name} differs")
+            found.append({name: np.asarray(given) for name, given in other.items()})
+        self.arrays = tuple(found)
+
+
+def check_checkpoint(skills: TeamSkills | None, state: Mapping[str, np.ndarray]) -> None:
+    """Raise ValueError if a checkpoint's player acted over other skills than one with these, or over some or none."""
+    if skills is not None:
+        skills.load(state)
+    elif any(name.startswith(PREFIX) for name in state):
+        raise ValueError("the checkpoint is of a player over skills; name them in learner.skill")
 
 
 def team_skills(settings: SkillSettings, arena: "Arena", team: TeamSpec) -> TeamSkills | None:
@@ -155,7 +170,7 @@ def _check_fit(teacher: Teacher, arena: "Arena", actions: int) -> None:
     """Raise SkillError for a skill with other actions, or one that decides at another rate, than the arena's robots."""
     if teacher.actions != actions:
         raise SkillError(
-            f"policies: {teacher.named} acts with {teacher.actions} numbers, and a {teacher.kind} of {arena.name} with"
+            f"policies: {teacher.named} acts with {teacher.actions} numbers, and {teacher.kind} in {arena.name} with"
             f" {actions}"
         )
     here = arena.timing.decision_interval
@@ -219,13 +234,13 @@ def _check_missing(teacher: Teacher, part: Part, arena: str, mode: str, commande
     """Raise SkillError if a skill needs a part that an agent does not observe here."""
     if commanded and mode == "shift":
         raise SkillError(
-            f"mode: a {teacher.kind} of {arena} observes no {part.name!r} of {part.size} numbers, to which a command"
-            ' could be added; use "replace"'
+            f"mode: {arena} shows robots of kind {teacher.kind} no {part.name!r} of {part.size} numbers, to which a"
+            ' command could be added; use "replace"'
         )
     if moved and not commanded:
         raise SkillError(
-            f"policies: {teacher.named} needs {part.name!r} ({part.size} numbers), which a {teacher.kind} of {arena}"
-            " does not observe, and which is not commanded"
+            f"policies: {teacher.named} needs {part.name!r} ({part.size} numbers), which {arena} does not show robots"
+            f" of kind {teacher.kind}, and which is not commanded"
         )
 
 

@@ -1,7 +1,8 @@
 """A frozen policy's network as a TorchScript file, with the inputs and outputs of its ONNX file (`onnx_export`).
 
 `forward(observations, noise)` returns the actions; of a policy that remembers `forward(observations, noise, memory)`
-returns the actions and the next memory, and the attribute `memory_size` is the number of its units.
+returns the actions and the next memory, and the attribute `memory_size` is the number of its units. A policy over
+skills also has the attribute `noise_size`.
 """
 
 import io
@@ -16,7 +17,7 @@ from torch import Tensor, nn
 
 from agents.policy.skill_arrays import PREFIX, skill_of, strategy_of
 from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
-from league.snapshots.exports.networks import memory_units
+from league.snapshots.exports.networks import memory_units, noise_size
 
 
 def torchscript_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]) -> bytes:
@@ -187,6 +188,7 @@ class _OverSkills(nn.Module):
         super().__init__()
         over = agent["over"]
         self.memory_size: int = memory_units(agent)
+        self.noise_size: int = noise_size(agent)
         self.strategy = _Plain(strategy_of(arrays), over["strategy"])
         self.skills = nn.ModuleList(_Skill(skill_of(arrays, i), skill) for i, skill in enumerate(over["skills"]))
         self.every, self.blend = float(over["every"]), bool(over["blend"])

@@ -189,7 +189,12 @@ REFUSED = {
     ("sumo-1v1", "anymal-walk", "slot A", "shift"): "policies: anymal-walk moves robots of kind anymal, and",
     ("sumo-1v1-anymal", "anymal-walk", "slot Z", "shift"): "command: anymal-walk observes no 'slot Z'; it observes",
     ("sumo-1v1-anymal", "anymal-walk", "slot A:4", "shift"): "command: 'slot A:4': slot A of anymal-walk has 3",
-    ("sumo-1v1-anymal", "anymal-score", "ball:2", "shift"): "mode: a anymal of sumo-1v1-anymal observes no 'ball'",
+    (
+        "sumo-1v1-anymal",
+        "anymal-score",
+        "ball:2",
+        "shift",
+    ): "mode: sumo-1v1-anymal shows robots of kind anymal no",
     ("sumo-1v1-anymal", "anymal-score", "ball:2", "replace"): 'policies: anymal-score needs "ball\'s velocity"',
     ("sumo-1v1", "leatherback-push", "slot A:2", "shift"): "policies: leatherback-push decides every 0.02 s, and",
 }

@@ -18,9 +18,12 @@ from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
+from league.runtime.checkpoint_compat import validate_checkpoints
 from league.runtime.validation import validate
 from league.snapshots import policy_file, warm_start
 from league.snapshots.codec import add_scripts
+from league.snapshots.exports.networks import agents_of
+from league.snapshots.exports.torchscript_export import torchscript_bytes
 from league.state.jobs import RatingMatch
 from league.training.learner_factory import new_learner
 from matchmaking.opponents import Opponents
@@ -111,6 +114,17 @@ def test_a_league_goes_on_with_the_skills_of_its_checkpoint(store, arena):
     np.testing.assert_array_equal(acting["skill.0.mean.bias"], kept)
 
 
+@pytest.mark.parametrize("changed", [{"reach": 1.0}, {"every": 8}, {"command": ("slot B:2",)}, None])
+def test_a_league_does_not_go_on_with_other_settings_of_its_skills(changed, store, arena):
+    turns(store, settings(), arena, 1)
+    checkpoint = store.checkpoint(LEAGUE, "blue")
+    assert checkpoint is not None
+    skill = SkillSettings() if changed is None else replace(SKILL, **changed)
+    with pytest.raises(ConfigError, match=r"cannot go on with these settings of its learner: blue: .*learner\.skill"):
+        validate_checkpoints(store, settings(skill=skill), arena, store.players(LEAGUE))
+    validate_checkpoints(store, settings(lr=0.5), arena, store.players(LEAGUE))
+
+
 def test_flat_and_skilled_players_meet_in_training_and_in_matches(store, arena, tmp_path):
     """Each learns what it chooses: two numbers per command, or two per decision. Both are rated, and scripts are."""
     players = (PlayerSettings("blue"), PlayerSettings("red", flat=True))
@@ -150,6 +164,28 @@ def test_any_learner_commands_skills(store, arena):
     newest = arrays.from_bytes(store.blobs.get(store.snapshots(LEAGUE, "blue")[-1].digest))
     assert newest["0/mean.weight"].shape == (2, 16)
     assert "0/skill.0.mean.weight" in newest
+
+
+def test_a_strategy_and_its_skill_become_one_network(store, arena, tmp_path):
+    """By the learner of docs/examples/distil.py, from the TorchScript file of a policy over skills."""
+    turns(store, settings(), arena, 2)
+    newest = store.snapshots(LEAGUE, "blue")[-1]
+    own = {k[2:]: v for k, v in arrays.from_bytes(store.blobs.get(newest.digest)).items()}
+    (agent,) = agents_of({f"0/{k}": v for k, v in own.items()}, newest.roster)
+    (tmp_path / "teacher.pt").write_bytes(torchscript_bytes(own, agent))
+    example = str(ROOT / "docs" / "examples" / "distil.py") + ":Distil"
+    taught = Table({"teachers": (str(tmp_path / "teacher.pt"),), "hidden": 32, "lr": 0.003, "epochs": 30})
+    training = replace(settings().training, worlds=32, rollout_length=48)  # whole episodes
+    config = replace(settings(), learner=HappoConfig(class_=example, settings=taught), training=training)
+    validate(config)
+    with new_store(tmp_path / "other", arena, config) as other:
+        turns(other, config, arena, 5)
+        missed = [point.values["missed.0"] for point in other.curves(LEAGUE, "blue")]
+        assert missed[0] > 0.8
+        assert missed[-1] < 0.3
+        student = arrays.from_bytes(other.blobs.get(other.snapshots(LEAGUE, "blue")[-1].digest))
+        assert student["0/mean.weight"].shape == (2, 32)
+        assert not any(name.startswith("0/skill.") for name in student)
 
 
 def test_a_league_begins_with_the_strategies_of_another(store, arena, tmp_path):
