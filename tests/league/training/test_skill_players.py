@@ -168,14 +168,13 @@ def test_any_learner_commands_skills(store, arena):
 
 def test_a_strategy_and_its_skill_become_one_network(store, arena, tmp_path):
     """By the learner of docs/examples/distil.py, from the TorchScript file of a policy over skills."""
-    turns(store, settings(), arena, 2)
-    newest = store.snapshots(LEAGUE, "blue")[-1]
-    own = {k[2:]: v for k, v in arrays.from_bytes(store.blobs.get(newest.digest)).items()}
-    (agent,) = agents_of({f"0/{k}": v for k, v in own.items()}, newest.roster)
+    frozen = arrays.from_bytes(new_trainer(settings(), arena, store).pool.freeze("blue"))
+    (agent,) = agents_of(frozen, arena.teams[0].roster)
+    own = {name.removeprefix("0/"): array for name, array in frozen.items()}
     (tmp_path / "teacher.pt").write_bytes(torchscript_bytes(own, agent))
     example = str(ROOT / "docs" / "examples" / "distil.py") + ":Distil"
     taught = Table({"teachers": (str(tmp_path / "teacher.pt"),), "hidden": 32, "lr": 0.003, "epochs": 30})
-    training = replace(settings().training, worlds=32, rollout_length=48)  # whole episodes
+    training = replace(settings().training, worlds=24, rollout_length=24)
     config = replace(settings(), learner=HappoConfig(class_=example, settings=taught), training=training)
     validate(config)
     with new_store(tmp_path / "other", arena, config) as other:
