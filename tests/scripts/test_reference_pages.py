@@ -1,5 +1,7 @@
 """The pages of commands and settings say what the code says now."""
 
+import re
+
 import pytest
 
 from league.commands import cli
@@ -13,9 +15,14 @@ def test_a_page_is_what_the_code_says_now(file):
     assert text == reference_pages.PAGES[file](), "the code has changed since: python -m scripts.reference_pages"
 
 
-def test_every_command_is_on_the_page():
+def test_every_command_is_on_the_page_with_every_option():
     text = reference_pages.commands()
-    assert [name for name in cli.COMMANDS if f"usage: league {name}" not in text] == []
+    assert [name for name in cli.COMMANDS if not re.search(rf"^\| \*\*`league {name}[ `]", text, re.MULTILINE)] == []
+    for name, page in reference_pages.help_pages().items():
+        row = re.search(rf"^\| \*\*`league {name}[ `].*?(?=^\| \*\*|^$)", text, re.MULTILINE | re.DOTALL)
+        assert row, name
+        missing = [option for option in re.findall(r"^  (--[\w-]+)", page, re.MULTILINE) if f"`{option}" not in row[0]]
+        assert missing == ["--help", "--debug"], name
 
 
 def test_every_setting_is_on_the_page():
