@@ -1,19 +1,14 @@
-"""Lines of a league's status: the ends of turns and generations, copies between players, failures and their causes."""
+"""Lines of a league's status: the ends of turns and generations, failures and their causes, shares and sizes."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from league.queries.query import score_text
 from league.scheduling.player_resets import Generation, current_generation
-from league.scheduling.population import since
 from league.state.league_state import LeagueState
 from league.system.devices import Memory
 from matchmaking.roles import Role
 from matchmaking.schedule import LearningCounts, remaining
 from storage.records import Job, Phase, Player
-
-if TYPE_CHECKING:  # loads the configuration
-    from league.scheduling.curriculum import StageProgress
 
 
 def phase_line(phase: Phase, state: LeagueState) -> str:
@@ -63,30 +58,6 @@ def generations(roles: Mapping[str, Role], state: LeagueState) -> list[str]:
     return [generation(player, each) for player, each in now if each is not None]
 
 
-def stages(found: Sequence["StageProgress"]) -> list[str]:
-    """Describe each stage of a curriculum in a line."""
-    if not found:
-        return []
-    from league.scheduling import curriculum
-
-    return curriculum.report(found)
-
-
-def population(ready: int, state: LeagueState, hyperparameters: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Describe, for each player, its hyperparameters, the last copy, and the next comparison after `ready` steps."""
-    return [f"{name}: {copying(ready, state, name, own)}" for name, own in hyperparameters.items()]
-
-
-def copying(ready: int, state: LeagueState, player: str, hyperparameters: Mapping[str, float]) -> str:
-    """Describe a player's hyperparameters, its last copy, and its next comparison after `ready` steps."""
-    values = [f"{name} {value:.3g}" for name, value in hyperparameters.items()] or ["no hyperparameter moves"]
-    begun = since(state, player)
-    copied = "has copied nobody yet" if begun.initial else f"goes on from {begun.parent} since {begun.name}"
-    left = max(0, begun.step + ready - state.checkpoints[player].step)
-    when = f"is compared after {left:,} steps more" if left else "is ready to be compared"
-    return f"{', '.join(values)}; {copied}, {when}"
-
-
 def failed_job(job: Job, whole: bool) -> str:
     """Name a job with the number of attempts and the last error, whole or its first line."""
     return f"{job.key}, tried {job.failures} times: {error(job.error, whole)}"
@@ -98,6 +69,19 @@ def error(error: str | None, whole: bool) -> str:
     if whole or len(lines) == 1:
         return "\n    ".join(lines)
     return f"{lines[0]} (--debug shows it all)"
+
+
+def rating_share(share: float, trained: float, rated: float, episodes: int = 0) -> str:
+    """Describe the requested share and the actual share of `rated` device seconds.
+
+    With `episodes` played in these seconds, add the episodes per second of a device.
+    """
+    asked = "as much as they get" if share == 1.0 else f"{100 * share:.3g} %"
+    if not trained:
+        return f"nobody has learnt yet (rating.share: {asked})"
+    speed = episodes / rated if rated else 0.0
+    pace = f", {speed:{',.0f' if speed >= 100 else '.3g'}} games per second of a device" if speed else ""
+    return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked}){pace}"
 
 
 def machine(free_disk: float | None, gpus: Sequence[Memory]) -> str:
