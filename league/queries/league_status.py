@@ -7,17 +7,18 @@ from pathlib import Path
 
 from dashboards.text import clock
 from league.config.sections import Budget
-from league.queries import status_lines
 from league.queries.league_settings import LeagueSettings
 from league.queries.player_copies import copying, read_hyperparameters
-from league.queries.query import Open
+from league.queries.query import Open, score_text
+from league.scheduling.player_resets import Generation, current_generation
 from league.state.curriculum_stage import course
 from league.state.league_state import Group, LeagueState
 from league.state.liveness import leader, processes
 from league.state.void_rates import warnings as void_warnings
 from league.system import devices
 from matchmaking.roles import FIXED, Role
-from storage.records import Job, JobState, Player, Worker
+from matchmaking.schedule import LearningCounts, remaining
+from storage.records import Job, JobState, Phase, Player, Worker
 from storage.store import Store
 
 STATES: Mapping[JobState, str] = {
@@ -73,16 +74,16 @@ def gather_status(opened: Open, whole_errors: bool = False, state: LeagueState |
         [_player(player, state, bool(runs)) for player in state.players],
         _rating_share(store, league, settings.rating_share, trained),
         _stages(store, league),
-        status_lines.generations(_roles(settings, state), state),
-        [status_lines.phase_line(p, state) for p in state.phases.values() if p.learners],
+        _generations(_roles(settings, state), state),
+        [_phase(p, state) for p in state.phases.values() if p.learners],
         [f"{name}: {copying(settings.copies_after, state, name, own)}" for name, own in moved.items()],
-        [f"{p.name}: {status_lines.error(p.paused, whole_errors)}" for p in state.players if p.paused is not None],
-        [status_lines.failed_job(job, whole_errors) for job in failed if job.state != "failed"],
-        [status_lines.failed_job(job, whole_errors) for job in failed if job.state == "failed"],
+        [f"{p.name}: {_error(p.paused, whole_errors)}" for p in state.players if p.paused is not None],
+        [_failed_job(job, whole_errors) for job in failed if job.state != "failed"],
+        [_failed_job(job, whole_errors) for job in failed if job.state == "failed"],
         void_warnings(state.voids),
         _workers(workers, state, store.now()),
         _progress(settings.training_budget(), groups),
-        status_lines.machine(_free_disk(store), devices.memory()),
+        _machine(_free_disk(store), devices.memory()),
     )  # fmt: skip
 
 
@@ -155,7 +156,7 @@ def _progress(budget: Budget, groups: Sequence[Group]) -> dict[str, float]:
 def _rating_share(store: Store, league: str, share: float, trained: float) -> str:
     """Compare the device time of rating with that of training since the first rating batch whose time is known."""
     rated, start = store.booked(league)
-    text = status_lines.rating_share(share, max(0.0, trained - start), rated, store.booked_episodes(league))
+    text = describe_rating_share(share, max(0.0, trained - start), rated, store.booked_episodes(league))
     return f"Rating: {text}"
 
 
@@ -180,3 +181,86 @@ def _free_disk(store: Store) -> float | None:
     folders = [Path(store.where).parent, getattr(store.blobs, "folder", None)]
     free = [shutil.disk_usage(folder).free for folder in folders if folder is not None and folder.is_dir()]
     return min(free) if free and "://" not in store.where else None
+
+
+# Lines ----------------------------------------------------------------------------------------------------------------
+
+
+def _phase(phase: Phase, state: LeagueState) -> str:
+    """Name the learners of a turn, the iteration at which it began and the rule that ends it."""
+    left = remaining(phase, {name: LearningCounts(at.iteration, at.step) for name, at in state.checkpoints.items()})
+    since = ", ".join(dict.fromkeys(str(phase.since.get(name, 0)) for name in phase.learners))
+    if left is None:
+        end = "nothing ends it"
+    elif "step" in phase.until:
+        end = f"it ends at step {phase.until['step']:,}, {left:,} are left"
+    else:
+        end = f"it ends after {phase.until['iterations']} iterations, {left} are left"
+    if "score" in phase.until:
+        score = state.scores[phase.learners[0]]
+        now = f"it scores {score_text(score)}" if score.games else "no episode has ended yet"
+        sure = f"surely scores above {100 * phase.until['score']:g} %: {now}"
+        over = score.low > phase.until["score"]
+        end = f"its turn is over, for it {sure}" if over else f"{end}, or before that when it {sure}"
+    verb = "learns" if len(phase.learners) == 1 else "learn"
+    return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
+
+
+def _generation(player: Player, now: Generation) -> str:
+    """Describe the start of a player's generation, the rule that ends it, and what follows."""
+    role, ends = now.role, []
+    if role.win_rate is not None:
+        least = min(now.scores.items(), key=lambda item: item[1].low, default=None)
+        text = "nobody is there yet" if least is None else f"least sure against {least[0]}, {score_text(least[1])}"
+        ends.append(f"it surely scores above {100 * role.win_rate:g} % against all {len(now.scores)} it meets ({text})")
+    if role.timeout is not None:
+        ends.append(f"after {role.timeout:,} steps ({now.left:,} are left)")
+    text = f"{player.name} ({role.name}) since {now.since.name}: frozen when {' or '.join(ends)}"
+    if not role.can_reset:
+        return text
+    source = "its first policy" if role.reset == "initial" else "the newest main player"
+    chance = "" if role.reset_chance in (None, 1) else f", with probability {role.reset_chance:g}"
+    return f"{text}; then it is reset to {source}{chance}"
+
+
+def _generations(roles: Mapping[str, Role], state: LeagueState) -> list[str]:
+    """Describe the current generation of each player whose role has generations."""
+    now = [
+        (p, current_generation(roles[p.name], state, p, state.checkpoints[p.name].step))
+        for p in state.players
+        if p.name in roles
+    ]
+    return [_generation(player, each) for player, each in now if each is not None]
+
+
+def _failed_job(job: Job, whole: bool) -> str:
+    """Name a job with the number of attempts and the last error, whole or its first line."""
+    return f"{job.key}, tried {job.failures} times: {_error(job.error, whole)}"
+
+
+def _error(text: str | None, whole: bool) -> str:
+    """Return all lines of an error, or the first line and a hint how to see the others."""
+    lines = (text or "no reason was given").strip().splitlines()
+    if whole or len(lines) == 1:
+        return "\n    ".join(lines)
+    return f"{lines[0]} (--debug shows it all)"
+
+
+def describe_rating_share(share: float, trained: float, rated: float, episodes: int = 0) -> str:
+    """Describe the requested share and the actual share of `rated` device seconds.
+
+    With `episodes` played in these seconds, add the episodes per second of a device.
+    """
+    asked = "as much as they get" if share == 1.0 else f"{100 * share:.3g} %"
+    if not trained:
+        return f"nobody has learnt yet (rating.share: {asked})"
+    speed = episodes / rated if rated else 0.0
+    pace = f", {speed:{',.0f' if speed >= 100 else '.3g'}} games per second of a device" if speed else ""
+    return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked}){pace}"
+
+
+def _machine(free_disk: float | None, gpus: Sequence[devices.Memory]) -> str:
+    """Describe the free disk space for a store on this machine, and the memory of its GPUs in use."""
+    disk = [f"Disk: {free_disk / 1e9:,.1f} GB free"] if free_disk is not None else []
+    memory = [f"{gpu.used:.1f} of {gpu.total:.1f} GB of GPU {gpu.name} in use" for gpu in gpus]
+    return "; ".join([*disk, *memory]) or "Disk: not of this machine"

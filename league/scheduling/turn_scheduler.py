@@ -17,7 +17,6 @@ from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
 from league.state.jobs import TrainingTurn, encode
 from league.state.league_state import LeagueState
-from matchmaking.opponents import draw
 from matchmaking.schedule import next_due
 from storage.records import Job, Phase, Player
 
@@ -132,11 +131,10 @@ def _opponents(seed: int, state: LeagueState, learner: Learner, seats: Sequence[
         if team == player.team:
             continue
         found = opponent_distribution(rule, state, player, team, opponent, learner.role, since)
-        names, weights = (*found.names, ""), found.mixture.weights
-        for assignment, i in zip(assignments, draw(weights, past, rng), strict=True):
-            assignment[team] = names[i]
-            if names[i]:
-                chances[names[i]] = (float(weights[i]), len(found.names))
+        for assignment, (name, chance) in zip(assignments, found.draw(past, rng), strict=True):
+            assignment[team] = name
+            if name:
+                chances[name] = (chance, len(found.names))
     return tuple(map(tuple, assignments)), chances
 
 
