@@ -52,7 +52,7 @@ def commands() -> str:
     helps = help_pages()
     read = {name: dict(_options(text)) for name, text in helps.items()}
     counts = Counter(entry for options in read.values() for entry in options.items())
-    shared = [entry for entry, count in counts.items() if count > 1]
+    shared = [entry for entry, count in counts.items() if count > 1 and entry[0].startswith("-")]
     shared.sort(key=lambda entry: -counts[entry])
     parts = [
         "# Which commands are there, and what are their options?",
@@ -97,14 +97,16 @@ def _options(text: str) -> Iterator[tuple[str, str]]:
 
 
 def _rows(text: str, options: dict[str, str], shared: list[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """Yield the row of a command, with the names of its shared options, and a row for each option of its own."""
+    """Yield the row of a command, with its words without flags and its shared options, then those of its options."""
     usage, _, summary = text.partition("\nOptions\n")[0].partition("\n")
     command = usage.removeprefix("usage: ").removesuffix(" [--option VALUE ...]")
     flags = [option.split()[0] for option, _ in shared]
+    words = [f"`{option}`: {meaning}" for option, meaning in options.items() if not option.startswith("-")]
     common = [option for option, meaning in options.items() if (option, meaning) in shared and option not in ALL_TAKE]
     also = ", ".join(f"`{option if flags.count(option.split()[0]) > 1 else option.split()[0]}`" for option in common)
-    yield f"**`{command}`**", f"**{_line(summary)}**" + (f" Also {also}." if also else "")
-    yield from ((f"`{option}`", meaning) for option, meaning in options.items() if (option, meaning) not in shared)
+    yield f"**`{command}`**", " ".join([f"**{_line(summary)}**", *words, *([f"Also {also}."] if also else [])])
+    own = [entry for entry in options.items() if entry not in shared and entry[0].startswith("-")]
+    yield from ((f"`{option}`", meaning) for option, meaning in own)
 
 
 def configuration() -> str:
