@@ -201,7 +201,7 @@ def _phase(phase: Phase, state: LeagueState) -> str:
         now = f"it scores {score_text(score)}" if score.games else "no episode has ended yet"
         sure = f"surely scores above {100 * phase.until['score']:g} %: {now}"
         over = score.low > phase.until["score"]
-        end = f"its turn is over, for it {sure}" if over else f"{end}, or before that when it {sure}"
+        end = f"its turn is over, because it {sure}" if over else f"{end}, or before that when it {sure}"
     verb = "learns" if len(phase.learners) == 1 else "learn"
     return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
 

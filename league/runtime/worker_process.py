@@ -72,7 +72,7 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
         print(f"league: {name}: {error}", file=sys.stderr, flush=True)
         sys.exit(exit_codes.of(error))
     if worker.unfit:
-        message = f"league: {name} {spec.number} on {worker.host} stops, for it cannot do its jobs: {worker.unfit}"
+        message = f"league: {name} {spec.number} on {worker.host} stops, because it cannot do its jobs: {worker.unfit}"
         print(message, file=sys.stderr, flush=True)
         sys.exit(exit_codes.UNFIT)
 

@@ -152,7 +152,7 @@ class OwnLearner:
         saved, again = self.save(), OwnLearner(self.player, self.source)
         again.load(saved)
         if arrays.to_bytes(again.save()) != arrays.to_bytes(saved):
-            raise self._failed(".load: afterwards `save` gives something else: a league could not go on from it")
+            raise self._failed(".load: afterwards `save` gives something else: a league could not continue from it")
 
     # What it gives ---------------------------------------------------------------------------------------------------
 

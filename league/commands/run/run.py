@@ -33,7 +33,7 @@ from storage.database.urls import without_passwords
 from storage.errors import NotAStore
 from storage.store import Store
 
-WHAT = "Run a league: train, play rating matches, go on where it stopped."
+WHAT = "Run a league: train, play rating matches, continue where it stopped."
 
 
 def run(args: list[str]) -> int:
