@@ -201,7 +201,7 @@ def _examine(found: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
         if not isinstance(arena, dict) or arena.keys() != set(ArenaKey._fields):
             raise ValueError("its arena is not given by name, configuration hash and engine")
         if not all(isinstance(value, str) and value.isprintable() for value in arena.values()):
-            raise ValueError("its arena is not described in words")
+            raise ValueError("its arena is not given as text")
     agents_of(found, about["roster"])
     if hashlib.sha256(arrays.to_bytes(found)).hexdigest() != about["digest"]:
         raise ValueError("its parameters are not those that were exported")
