@@ -1,7 +1,8 @@
 """Write the reference of commands and settings from the code: python -m scripts.reference_pages.
 
 `docs/commands.md` holds what each command prints for `--help`; `docs/settings.md` holds every key of `league.toml` with
-its default, its bounds and its note. Both are written whole, and a test fails when they are out of date.
+its default, its bounds and its note, and `docs/arenas/settings.md` those of each arena. All are written whole, and a
+test fails when they are out of date.
 """
 
 import io
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 from unittest import mock
 
+from arenas import known
 from league.commands import cli
 from league.config import experiment, presets
 from league.config.schema import (
@@ -120,8 +122,8 @@ def configuration() -> str:
         " `--learner.lr 3e-4` on the command line. A list is written with commas, a switch is set by `--name` and unset"
         " by `--no-name`, and the word `none` unsets a setting that can be unset. Durations are written as `30s`, `5m`"
         " or `1h30m`. `league init` writes all of this as a file. The former name of a renamed setting is accepted"
-        " until the next release, with a line on stderr. The keys of `[arena]` depend on `arena.name`; this"
-        f" page has those of `{config.arena.name}`, and `league arenas NAME` prints those of any other arena.",
+        " until the next release, with a line on stderr. The keys of `[arena]` depend on `arena.name`"
+        f" (`{config.arena.name}` by default) and have [a page of their own](arenas/settings.md).",
         "## Presets",
         '`league run --preset NAME`, or `preset = "NAME"` in the file, with the file\'s other keys laid over it.',
         _table(("preset", "is"), named),
@@ -133,12 +135,29 @@ def configuration() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def arena_settings() -> str:
+    """Return the page of the settings of arenas: a table for each class of settings."""
+    arenas: dict[type, dict[str, Any]] = {}
+    for name, each in known().items():
+        arenas.setdefault(type(each), {})[name] = each
+    parts = [
+        "# Which settings does an arena have?",
+        HEAD,
+        "Keys of the table `[arena]` in `league.toml`, and options of `league run`: `--arena.rules.episode 20`."
+        " Defaults are those of the arena that is named first; `league arenas NAME` prints those of any other.",
+    ]
+    for cls, named in arenas.items():
+        rows = _table(KEYS, list(_rows_of(next(iter(named.values())), ("arena",))))
+        parts += ["## " + ", ".join(f"`{name}`" for name in named), _paragraph(cls.__doc__), rows]
+    return "\n\n".join(parts) + "\n"
+
+
 def _tables(config: Any) -> Iterator[str]:
     """Yield a title, a summary and a table of keys for each top table of settings, then for each list of tables."""
     yield from ("## The league", _paragraph(type(config).__doc__), _table(KEYS, list(_keys(type(config), config, ()))))
     for each in settings(config):
         key, value = key_of(each), getattr(config, each.name)
-        if is_table(value):
+        if is_table(value) and key != "arena":
             yield from (f"## `[{key}]`", _paragraph(type(value).__doc__), _table(KEYS, list(_rows_of(value, (key,)))))
     for kind, key, note in _lists(config, ()):
         yield from (f"## `[[{'.'.join(key)}]]`", _line(note), _table(KEYS, list(_keys(kind, None, ()))))
@@ -210,12 +229,16 @@ def _table(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(_line(cell).replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
 
 
-PAGES: dict[str, Callable[[], str]] = {"docs/commands.md": commands, "docs/settings.md": configuration}
+PAGES: dict[str, Callable[[], str]] = {
+    "docs/commands.md": commands,
+    "docs/settings.md": configuration,
+    "docs/arenas/settings.md": arena_settings,
+}
 """Each page's file, relative to the repository, and what writes it."""
 
 
 def main() -> None:
-    """Write both pages."""
+    """Write all pages."""
     for file, text in PAGES.items():
         (ROOT / file).write_text(text(), "utf-8")
         print(file)

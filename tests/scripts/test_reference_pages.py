@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+import arenas
 from league.commands import cli
 from league.config import experiment, flags
 from scripts import reference_pages
@@ -25,11 +26,20 @@ def test_every_command_is_on_the_page_with_every_option():
         assert missing == ["--help", "--debug"], name
 
 
-def test_every_setting_is_on_the_page():
-    text, config = reference_pages.configuration(), experiment.default()
+def test_every_setting_is_on_a_page():
+    text, config = reference_pages.configuration() + reference_pages.arena_settings(), experiment.default()
     keys = [".".join(key) for key in flags.every(type(config), config)]
     assert len(keys) > 100
     assert [key for key in keys if f"`{key}`" not in text and f"`[[{key}]]`" not in text] == []
+
+
+@pytest.mark.parametrize("name", arenas.names())
+def test_every_setting_of_an_arena_is_below_its_name(name):
+    settings = arenas.settings(name)
+    (part,) = [part for part in reference_pages.arena_settings().split("\n## ") if f"`{name}`" in part.split("\n")[0]]
+    keys = [".".join(("arena", *key)) for key in flags.every(type(settings), settings)]
+    assert keys
+    assert [key for key in keys if f"| `{key}` |" not in part] == []
 
 
 def test_a_page_does_not_depend_on_the_terminal_or_the_working_folder(tmp_path, monkeypatch):
