@@ -1,5 +1,6 @@
 """Policies over skills: whose action it is, how long a command lasts, and what their learner learns from."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,13 +12,23 @@ import torch
 
 import arenas
 from agents.bridge import team_batch, to_jax
+from agents.learner.happo import HappoLearner
 from agents.policy.constant_inputs import silence_constant_inputs
 from agents.policy.jax_policy import Params, decide, mean_action, memory_size, policy_params, stack_policies
 from agents.policy.networks import Actor
 from agents.policy.skill_arrays import Skill, skill_arrays
 from agents.rollout.command_clock import at_command_clock
-from agents.rollout.rollout import Trajectory, Worlds, make_play, make_reset, make_rollout, with_memory
-from agents.settings import Architecture, SkillSettings
+from agents.rollout.metrics import rollout_metrics
+from agents.rollout.rollout import (
+    Trajectory,
+    Worlds,
+    make_play,
+    make_reset,
+    make_rollout,
+    scripts_for,
+    with_memory,
+)
+from agents.settings import Architecture, HappoConfig, SkillSettings
 from arenas.arena import Arena
 from league.snapshots import policy_file
 from league.snapshots.skills import team_skills
@@ -272,3 +283,31 @@ def test_a_policy_over_skills_crosses_from_torch_unchanged():
     actor = Actor(SEES, ACTS, Architecture((9, 8)), 1.0)
     (strategy,) = to_jax([actor.state_dict()])
     assert set(strategy | policy_params(arrays)) == {*actor.state_dict(), *arrays}
+
+
+def test_a_strategy_learns_what_to_command():
+    """Rock-paper-scissors of six rounds against rock, by a skill that plays what beats the commanded hand."""
+    game = arenas.settings("rock-paper-scissors")
+    game = replace(game, rules=replace(game.rules, rounds=6)).build()
+    rock = list(scripts_for(game, "chooser")).index("rock")
+    beats = {
+        "activation": np.int32(0), "std_scale": np.float32(1.0), "std_logit": np.zeros(3, np.float32),
+        "mean.bias": np.zeros(3, np.float32), "mean.weight": np.eye(3, dtype=np.float32)[[2, 0, 1]],
+        "trunk.observation_mean": np.zeros(3, np.float32), "trunk.observation_var": np.ones(3, np.float32),
+        "trunk.observation_clip": np.float32(10.0),
+    }  # fmt: skip
+    arrays = {name: np.asarray(array) for name, array in beats.items()}
+    skill = Skill(arrays, np.ones(3, np.int32), np.arange(3, dtype=np.int32), np.zeros(3, np.float32))
+    own = policy_params(skill_arrays([skill], 4, 1.0, False))
+    config = HappoConfig(Architecture((8,)), lr=0.01, skill=SkillSettings(("a file",), ("hand",), every=4))
+    learner = HappoLearner([1], [3], config, seed=0)
+    assert learner.config.discount == config.gamma**4
+    worlds, rollout = make_reset(game)(jax.random.split(jax.random.key(1), 128)), make_rollout(game, length=16)
+    enemy, scores = stack_policies([rock] * 2), []
+    for iteration in range(12):
+        stacks = {"blue/0": stack_policies([to_jax(learner.export())[0] | own] * 2), "red/0": enemy}
+        worlds, trajectory = rollout(stacks, with_memory(worlds, stacks), jax.random.key(iteration))
+        learner.learn(team_batch(trajectory, game.teams[0], 0, slice(None), 0.0, every=4, gamma=config.gamma))
+        scores.append(rollout_metrics(trajectory, 0, slice(None))["score"])
+    assert abs(scores[0] - 0.5) < 0.15
+    assert scores[-1] > 0.8
