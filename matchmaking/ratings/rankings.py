@@ -33,7 +33,8 @@ class ClusterBlock(NamedTuple):
     @property
     def rankings(self) -> Block:
         """The rankings (C k) of all clusters, each once."""
-        return Block(*(each.reshape(-1, each.shape[2]) for each in self[:2]), np.ones(self.players[..., 0].size, int))
+        n = self.players.shape[2]
+        return Block(self.players.reshape(-1, n), self.ranks.reshape(-1, n), np.ones(self.players[..., 0].size, int))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +213,9 @@ def _sorted(players: np.ndarray, ranks: np.ndarray, count: np.ndarray) -> tuple[
 def _canonical(block: ClusterBlock) -> ClusterBlock:
     """Return clusters with their rankings in ascending order: which seats the players had does not matter."""
     rows = np.concatenate([block.players, block.ranks], 2)
-    order = np.lexsort(rows.transpose(2, 0, 1)[::-1])
-    return ClusterBlock(*(np.take_along_axis(each, order[:, :, None], 1) for each in block[:2]), block.number)
+    order = np.lexsort(rows.transpose(2, 0, 1)[::-1])[:, :, None]
+    players, ranks = (np.take_along_axis(each, order, 1) for each in block[:2])
+    return ClusterBlock(players, ranks, block.number)
 
 
 def _each_once(blocks: Iterable[Block | ClusterBlock]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
