@@ -36,7 +36,7 @@ SIDES = jnp.array([1.0, -1.0])  # the walker's gain is nature's loss
 
 
 class NatureState(NamedTuple):
-    """What nature did: the part of the walk's state that this game adds."""
+    """Deeds of nature: the part of the walk's state that this game adds."""
 
     factors: Array  # (factors,) that the designer set; 1 before
     designing: Array  # () bool: the first decision is still to come

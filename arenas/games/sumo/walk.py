@@ -48,7 +48,7 @@ class GameState(NamedTuple):
     action: Array  # (action_size,) the present action
     last: Array  # (action_size,) the previous action
     air: Array  # (feet,) s since each foot left the ground, 0 while it is on it
-    nature: Any = ()  # what a game adds in which nature disturbs the walk
+    nature: Any = ()  # of games in which nature disturbs the walk
 
 
 class WalkObservation(NamedTuple):
