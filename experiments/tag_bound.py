@@ -48,13 +48,13 @@ def planner(rules: TagRules) -> Script:
     reach = rules.speed * (MOMENTS - carried)  # m, of full thrust in any direction
 
     def paths(view: TagView) -> Array:
-        """Return its places from now on by direction, (moments, 32, 2), in the world."""
-        ends = (view.position + carried * view.velocity)[:, None] + reach[..., None] * DIRECTIONS
-        return jnp.clip(ends, -room, room)
+        """Return its places from now on by direction, (moments, 32, 2), as if there were no walls."""
+        return (view.position + carried * view.velocity)[:, None] + reach[..., None] * DIRECTIONS
 
     def flee(view: TagView, velocities: Array) -> Array:
         middles = view.position + view.gaps[:, None] + carried * velocities[:, None]  # (others, moments, 2)
-        gaps = jnp.linalg.norm(paths(view) - middles[:, :, None], axis=-1)  # (others, moments, 32)
+        ends = jnp.clip(paths(view), -room, room)
+        gaps = jnp.linalg.norm(ends - middles[:, :, None], axis=-1)  # (others, moments, 32)
         slack = (gaps - reach).min(axis=0) - touch
         free = jnp.cumprod(slack > 0, axis=0).sum(axis=0)  # moments until one can touch it
         return jnp.asarray(DIRECTIONS)[jnp.argmax(free + 0.5 * slack.min(axis=0) + 0.05 * slack[-1])]
