@@ -8,9 +8,18 @@ from league.config.sections import Budget
 
 
 def tag() -> Config:
-    """Tag of three pucks, free for all: two minutes on two cores, then ratings."""
+    """Tag of three pucks, free for all: two minutes on two cores, then ratings.
+
+    All are equally fast, so noise in the direction of a thrust decides games (docs/arenas/tag.md): there is no bonus
+    for entropy, and steps follow the KL divergence, with which means soon are long beside deviations.
+    """
     config = default("tag")
-    return replace(config, league="tag", budget=Budget(training_time="2m", rating_time="1m"))
+    learner = replace(
+        config.learner, gamma=0.99, entropy_coef=0.0, initial_std=0.4, desired_kl=0.01,
+    )  # fmt: skip
+    training = replace(config.training, shaping_steps=2_000_000)
+    budget = Budget(training_time="2m", rating_time="1m")
+    return replace(config, league="tag", learner=learner, training=training, budget=budget)
 
 
 def swarm() -> Config:
