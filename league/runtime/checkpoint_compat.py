@@ -57,7 +57,7 @@ def validate_start(store: Store | None, config: Config, arena: "Arena", players:
     from agents.learner.happo import HappoLearner
     from league.training.learner_factory import new_learner
 
-    found = warm_start.of(store, players, config.after, config.learner.critic_input)
+    found = warm_start.of_config(store, players, config)
     for player in players:
         learner = new_learner(_on_cpu(config), arena, player)
         assert isinstance(learner, HappoLearner)  # `validate` refuses others

@@ -4,13 +4,13 @@ import difflib
 from collections.abc import Callable, Mapping
 
 from league.config.experiment import Config
-from league.config.presets import harl_a, over_skills, quick_starts, related_work
+from league.config.presets import harl_a, over_skills, quick_starts, related_work, team_games
 from league.config.schema import ConfigError
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
     "quickstart": quick_starts.quickstart,
     "duel": quick_starts.duel,
-    "tag": quick_starts.tag,
+    "tag": team_games.tag,
     "selfplay": quick_starts.selfplay,
     "leapfrog": quick_starts.leapfrog,
     "alphastar": quick_starts.alphastar,
@@ -36,8 +36,10 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "sumo-humanoids": related_work.sumo_humanoids,
     "you-shall-not-pass": related_work.you_shall_not_pass,
     "kick-and-defend": related_work.kick_and_defend,
-    "gate-race": related_work.gate_race,
-    "gate-race-sparse": related_work.gate_race_sparse,
+    "gate-race": team_games.gate_race,
+    "gate-race-sparse": team_games.gate_race_sparse,
+    "gate-race-4": team_games.gate_race_4,
+    "swarm": team_games.swarm,
 }
 
 
