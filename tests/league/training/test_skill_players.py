@@ -120,7 +120,7 @@ def test_a_league_does_not_go_on_with_other_settings_of_its_skills(changed, stor
     checkpoint = store.checkpoint(LEAGUE, "blue")
     assert checkpoint is not None
     skill = SkillSettings() if changed is None else replace(SKILL, **changed)
-    with pytest.raises(ConfigError, match=r"cannot go on with these settings of its learner: blue: .*learner\.skill"):
+    with pytest.raises(ConfigError, match=r"these settings of its learner: blue: .*learner\.skill"):
         validate_checkpoints(store, settings(skill=skill), arena, store.players(LEAGUE))
     validate_checkpoints(store, settings(lr=0.5), arena, store.players(LEAGUE))
 
