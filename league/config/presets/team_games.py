@@ -1,10 +1,15 @@
 """Presets of games of many or unlike teams: tag, races through gates, a swarm."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 from agents.settings import Architecture, HappoConfig
 from league.config.experiment import Config, default
 from league.config.sections import Budget
+from league.config.stages import Stage
+
+if TYPE_CHECKING:
+    from arenas.games.race.settings import RaceSettings
 
 
 def tag() -> Config:
@@ -37,7 +42,17 @@ def swarm() -> Config:
 
 
 def gate_race() -> Config:
-    """Two drones that race through gates and are paid for places alone, as in 2512.11781; for a GPU.
+    """Two drones that race through gates: each learns to fly the track alone, then they race. For a GPU."""
+    return _in_stages(gate_race_sparse(), "gate-race")
+
+
+def gate_race_4() -> Config:
+    """Four drones that race through gates, each a team of its own, and are ranked, by the same stages; for a GPU."""
+    return _in_stages(_race("gate-race-4"), "gate-race-4")
+
+
+def gate_race_sparse() -> Config:
+    """Two drones that race through gates from nothing and are paid for places alone, as in 2512.11781; for a GPU.
 
     Its networks and batches are smaller than the paper's (512, 512, 256, 128; 10,240 worlds of 16 decisions). With
     `--arena.teams 1` a drone learns alone, and with `--arena.rules.walls true` there are walls.
@@ -45,9 +60,16 @@ def gate_race() -> Config:
     return _race("gate-race")
 
 
-def gate_race_4() -> Config:
-    """Four drones that race through gates, each a team of its own, and are ranked; for a GPU."""
-    return _race("gate-race-4")
+def _in_stages(race: Config, league: str) -> Config:
+    """Return the race as the second stage; in the first a drone learns alone, by the dense reward."""
+    teams = cast("RaceSettings", race.arena).teams
+    dense = {"progress": 1.0, "first": 0.0, "later": 0.0, "lap": 0.0}
+    alone = {
+        "arena": {"teams": 1, "room": teams - 1, "reward": dense},
+        "training": {"shaping_steps": 10**12},  # the dense reward stays
+        "budget": {"success": 0.9, "steps": 400_000_000, "training_time": "none"},
+    }  # fmt: skip
+    return replace(race, league=league, stages=(Stage("alone", alone), Stage("race", {})))
 
 
 def _race(arena: str) -> Config:
