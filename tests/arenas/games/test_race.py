@@ -252,6 +252,15 @@ def test_four_are_ranked(four):
     np.testing.assert_allclose(mean_pairwise_score(verdict.score), [1 / 3, 1, 2 / 3, 0], rtol=1e-6)
 
 
+@pytest.mark.parametrize(("teams", "room"), [(1, 3), (2, 3), (4, 1)])
+def test_fewer_drones_see_zeros_in_the_places_of_others(teams, room):
+    arena = RaceSettings(teams=teams, room=room).build(engine="c", threads=1)
+    seen = arena.reset(jax.random.key(0)).observations["blue/0"]
+    assert seen.shape == (arena.observation_size("blue/0"),) == (66,)
+    others = seen[42:].reshape(3, 8)
+    assert np.asarray(others).any(axis=1).tolist() == [i < teams - 1 for i in range(3)]
+
+
 def test_one_alone_succeeds_with_the_lap():
     alone = RaceSettings(teams=1).build(engine="c", threads=1)
     before, after = {0: (0.95, -1.0, 2.0)}, {0: (1.05, -1.0, 2.0)}
