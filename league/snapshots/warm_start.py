@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from agents.policy.skill_arrays import PREFIX, strategy_of
 from arenas.rosters import bare, roster_agents
 from league.config import toml
 from league.config.experiment import Config
@@ -234,7 +235,7 @@ def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[
     kept = store.checkpoint(league, player)
     if kept is None:
         raise StorageError(f"player {player} of league {league} has no checkpoint to start from")
-    state = arrays.from_bytes(store.blobs.get(kept.digest))
+    state = strategy_of(arrays.from_bytes(store.blobs.get(kept.digest)))  # its skills are not taken over
     if found := _best(store, league, player):
         snapshot, _ = found
         return f"{league}/{snapshot.name}", {**state, **_named(arrays.from_bytes(store.blobs.get(snapshot.digest)))}
@@ -269,8 +270,9 @@ def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.nda
 
 
 def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return a snapshot's arrays by their names in a learner's state."""
-    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in policies.items()}
+    """Return a snapshot's arrays by their names in a learner's state, which has no skills."""
+    learnt = {name: array for name, array in policies.items() if not name.partition("/")[2].startswith(PREFIX)}
+    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in learnt.items()}
 
 
 def _arrays_of(policy: policy_file.Policy) -> dict[str, np.ndarray]:

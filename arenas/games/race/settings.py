@@ -82,7 +82,7 @@ class RaceSettings(WithTerms):
 
     @property
     def others(self) -> int:
-        """Blocks for other drones in an observation: at least `room`, so that who learnt alone fits the duel."""
+        """Blocks for other drones in an observation; a drone that learnt alone therefore fits the duel."""
         return max(self.room, self.teams - 1)
 
     @property

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Callable, Mapping
 
 from league.config.experiment import Config
-from league.config.presets import harl_a, quick_starts, related_work, team_games
+from league.config.presets import harl_a, over_skills, quick_starts, related_work, team_games
 from league.config.schema import ConfigError
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
@@ -26,6 +26,9 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "hopper-adversaries": related_work.hopper_adversaries,
     "soccer-1v1": harl_a.soccer_1v1,
     "soccer-2v2": harl_a.soccer_2v2,
+    "soccer-2v2-skills": over_skills.soccer_2v2,
+    "sumo-by-team-skills": over_skills.sumo_by_team,
+    "sumo-within-team-skills": over_skills.sumo_within_team,
     "galaga-1v1": harl_a.galaga_1v1,
     "galaga-2v2": harl_a.galaga_2v2,
     "run-to-goal": related_work.run_to_goal,
