@@ -151,7 +151,8 @@ def alone(name: str, matches: Sequence[RankedMatch]) -> Score:
     mean = sum(value * n for value, n in games) / number
     (values, counts), z2, limit = np.transpose(seeds), quantile(0.95) ** 2, mean * (1 - mean)
     variance = float((counts * (values - mean) ** 2).sum())
-    effective = counts.sum() * (counts.sum() + z2) / ((variance / limit if limit else 0.0) + z2)
+    decisive = variance / limit if limit else counts.sum()  # games all won have the interval of so many alone
+    effective = counts.sum() * (counts.sum() + z2) / (decisive + z2)
     centre = (effective * mean + z2 / 2) / (effective + z2)
     half = math.sqrt(z2 * (effective * limit + z2 / 4)) / (effective + z2)
     return Score(mean, centre - half, centre + half, number, voids)

@@ -7,6 +7,7 @@ from agents.settings import Architecture, HappoConfig
 from league.config.experiment import Config, default
 from league.config.sections import Budget
 from league.config.stages import Stage
+from matchmaking.opponents import Opponents
 
 if TYPE_CHECKING:
     from arenas.games.race.settings import RaceSettings
@@ -16,13 +17,15 @@ def tag() -> Config:
     """Tag of three pucks, free for all: two minutes on two cores, then ratings.
 
     All are equally fast, so noise in the direction of a thrust decides games (docs/arenas/tag.md): there is no bonus
-    for entropy, and steps follow the KL divergence, with which means soon are long beside deviations.
+    for entropy, and steps follow the KL divergence. In half of the worlds the others are two scripts `tagger`, who
+    chase better than beginners do, so that fleeing is learnt sooner.
     """
     config = default("tag")
     learner = replace(
         config.learner, gamma=0.99, entropy_coef=0.0, initial_std=0.4, desired_kl=0.01,
     )  # fmt: skip
-    training = replace(config.training, shaping_steps=2_000_000)
+    opponents = Opponents("fixed", victim="tagger", past=0.5)
+    training = replace(config.training, shaping_steps=2_000_000, opponents=opponents)
     budget = Budget(training_time="2m", rating_time="1m")
     return replace(config, league="tag", learner=learner, training=training, budget=budget)
 

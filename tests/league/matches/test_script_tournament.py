@@ -124,6 +124,8 @@ def test_the_score_of_one_team_is_the_mean_over_the_others_and_its_interval_of_s
     n = 8 * (8 + z2) / (squares / (mean * (1 - mean)) + z2)
     half = np.sqrt(z2 * (n * mean * (1 - mean) + z2 / 4)) / (n + z2)
     assert score.high - score.low == pytest.approx(2 * half, abs=1e-6)
+    won = script_tournament.alone("a", [match("abb", {first: 4}, {(first, first, first): 4})])
+    assert (won.score, won.low) == (1.0, pytest.approx(4 / (4 + z2)))  # Wilson's interval of 4 games
     assert np.isnan(script_tournament.alone("a", [match("abb", {})]).score)
 
 
