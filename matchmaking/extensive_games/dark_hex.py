@@ -7,22 +7,20 @@ run into a stone; so they do here. Player 0 connects the first row with the last
 last.
 """
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from functools import cache
 from typing import NamedTuple
 
 from matchmaking.extensive_games.game import TERMINAL
 
-EMPTY, UNSEEN, SEEN = 0, 1, 2
-
 
 class Position(NamedTuple):
-    """A state of dark hex. Players are merged where only the order of their moves differs, unless `moves` has it."""
+    """A state of dark hex; sets of cells are bits of a number. Only the order of moves is left out, unless recalled."""
 
-    stones: tuple[int, ...]  # of each cell: 0 empty, 1 player 0's, 2 player 1's
-    known: tuple[int, ...]  # of each cell: 1 if the other player has run into the stone there
+    first: int  # cells with stones of player 0
+    second: int  # of player 1
+    known: int  # cells whose stone the other player has run into
     mover: int
-    attempts: int
     winner: int  # -1: none yet
     moves: tuple[tuple[int, ...], ...]  # cells that each player has tried, in order; () if policies forget them
 
@@ -41,46 +39,51 @@ class DarkHex:
         self.actions = rows * columns
         self.longest = 2 * self.actions - 1
         self.neighbours = tuple(_neighbours(cell, rows, columns) for cell in range(self.actions))
-        self.connected = cache(self._connected)
+        self.connected, self.cells_without = cache(self._connected), cache(self._cells_without)
 
     def start(self) -> Position:
         """Return the empty board."""
-        empty = (0,) * self.actions
-        return Position(empty, empty, 0, 0, -1, ((), ()) if self.recall else ())
+        return Position(0, 0, 0, 0, -1, ((), ()) if self.recall else ())
 
     def player(self, state: Position) -> int:
         """Return the player who acts."""
-        return TERMINAL if state.winner >= 0 else state.mover
+        return state.mover if state.winner < 0 else TERMINAL
 
-    def legal(self, state: Position) -> list[int]:
+    def legal(self, state: Position) -> Sequence[int]:
         """Return the cells that the player does not know to be taken."""
-        own = state.mover + 1
-        return [c for c, (stone, known) in enumerate(zip(*state[:2], strict=True)) if stone != own and not known]
+        return self.cells_without(state.known | (state.second if state.mover else state.first))
 
     def play(self, state: Position, action: int) -> Position:
         """Return the position after an attempt: a new stone, or a stone of the other player that is now known."""
-        mover, moves = state.mover, state.moves
+        first, second, known, mover, _, moves = state
         if self.recall:
             own = (*moves[mover], action)
             moves = (own, moves[1]) if mover == 0 else (moves[0], own)
-        if state.stones[action]:
-            known = (*state.known[:action], 1, *state.known[action + 1 :])
-            return Position(state.stones, known, mover, state.attempts + 1, -1, moves)
-        stones = (*state.stones[:action], mover + 1, *state.stones[action + 1 :])
-        mask = sum(1 << c for c, stone in enumerate(stones) if stone == mover + 1)
-        winner = mover if self.connected(mover, mask) else -1
-        return Position(stones, state.known, 1 - mover, state.attempts + 1, winner, moves)
+        cell = 1 << action
+        if (first | second) & cell:
+            return Position(first, second, known | cell, mover, -1, moves)
+        if mover == 0:
+            first |= cell
+            return Position(first, second, known, 1, 0 if self.connected(0, first) else -1, moves)
+        second |= cell
+        return Position(first, second, known, 0, 1 if self.connected(1, second) else -1, moves)
 
     def gain(self, state: Position) -> float:
         """Return 1 if player 0 has connected its sides, else -1."""
         return 1.0 if state.winner == 0 else -1.0
 
     def information(self, state: Position, player: int) -> Hashable:
-        """Return the board as the player sees it and the number of attempts, with the order of its own if recalled."""
-        seen = tuple(
-            stone if stone == player + 1 or known else 0 for stone, known in zip(state.stones, state.known, strict=True)
-        )
-        return player, seen, state.attempts, state.moves[player] if self.recall else ()
+        """Return what the player sees and the number of attempts, with the order of its own if that is recalled.
+
+        These are its own stones, the other's that it knows, and all attempts: every stone, and every one run into.
+        """
+        first, second, known, _, _, moves = state
+        attempts = (first | second).bit_count() + known.bit_count()
+        own, other = (second, first) if player else (first, second)
+        return player, own, other & known, attempts, moves[player] if self.recall else ()
+
+    def _cells_without(self, taken: int) -> list[int]:
+        return [cell for cell in range(self.actions) if not taken >> cell & 1]
 
     def _connected(self, player: int, mask: int) -> bool:
         """Tell whether stones (a bit for each cell) connect a player's two sides."""

@@ -68,7 +68,7 @@ def test_a_forgetful_policy_has_the_value_of_its_table_with_memory(board):
     forgetful, whole = DarkHex(*board), DarkHex(*board, recall=True)
     known = situations(forgetful)
     table = random_table(known, forgetful.actions, 3)
-    remembered = {key: table[(*key[:3], ())] for key in situations(whole)}
+    remembered = {key: table[(*key[:4], ())] for key in situations(whole)}
     assert len(known) < len(remembered)
     found, expected = exploitability(forgetful, table), exploitability(whole, remembered)
     assert found.best_response_values == pytest.approx(expected.best_response_values, abs=1e-12)
