@@ -188,7 +188,7 @@ def _non_finite_actions(run: CheckRun) -> str:
     after = run.act(run.first, actions)
     if not np.array_equal(after.at_fault, at_fault):
         return f"teams at fault are {np.argwhere(after.at_fault).tolist()}, not {np.argwhere(at_fault).tolist()}"
-    return _voided(run, after, at_fault.any(axis=1), "a NaN in one world and an infinity in another make these void")
+    return _voided(run, after, np.any(at_fault, 1), "a NaN in one world and an infinity in another make these void")
 
 
 def _voided(run: CheckRun, after: Any, broken: np.ndarray, what: str) -> str:

@@ -20,7 +20,7 @@ class KuhnHand(NamedTuple):
 
     cards: Array  # (2,) int, 0 to 2, by seat
     played: Array  # (3,) int, -1 where nothing was played yet
-    count: Array  # () int
+    taken: Array  # () int: choices so far
 
 
 class Kuhn(TurnGame):
@@ -38,7 +38,7 @@ class Kuhn(TurnGame):
 
     def mover(self, hand: KuhnHand) -> Array:
         """Return the seat that acts: they take turns."""
-        return hand.count % 2
+        return hand.taken % 2
 
     def legal(self, hand: KuhnHand) -> Array:
         """Return that both choices are legal."""
@@ -46,15 +46,15 @@ class Kuhn(TurnGame):
 
     def play(self, hand: KuhnHand, choice: Array) -> KuhnHand:
         """Return the hand after a choice."""
-        return KuhnHand(hand.cards, hand.played.at[hand.count].set(choice, mode="drop"), hand.count + 1)
+        return KuhnHand(hand.cards, hand.played.at[hand.taken].set(choice, mode="drop"), hand.taken + 1)
 
     def outcome(self, hand: KuhnHand) -> tuple[Array, Array]:
         """Return the end: two choices, but for pass and bet, or three. Who passes after a bet loses the ante."""
         answered = (hand.played[0] == PASS) & (hand.played[1] == BET)
-        over = hand.count >= jnp.where(answered, 3, 2)
-        last = hand.played[hand.count - 1]
-        bet = hand.played[hand.count - 2] == BET
-        folded = jnp.where(hand.count == 2, 1.0, -1.0)  # seat 1 has passed after two choices, seat 0 after three
+        over = hand.taken >= jnp.where(answered, 3, 2)
+        last = hand.played[hand.taken - 1]
+        bet = hand.played[hand.taken - 2] == BET
+        folded = jnp.where(hand.taken == 2, 1.0, -1.0)  # seat 1 has passed after two choices, seat 0 after three
         higher = jnp.sign(hand.cards[0] - hand.cards[1]).astype(jnp.float32)
         return over, jnp.where(bet & (last == PASS), folded, higher * jnp.where(last == BET, 2.0, 1.0))
 
