@@ -93,6 +93,17 @@ def test_rows_that_are_no_probabilities_are_refused(row, says):
 
 
 @pytest.mark.slow
+def test_dark_hex_on_six_cells_is_openspiels():
+    game = DarkHex(2, 3, recall=True)
+    beside = SpielGame(game, "dark_hex(num_rows=2,num_cols=3)")
+    table = random_table(situations(game), game.actions, 5)
+    nash_conv, responses = beside.nash_conv(table)
+    found = exploitability(game, table)
+    assert found.nash_conv == pytest.approx(nash_conv, abs=1e-9)
+    assert found.best_response_values == pytest.approx(responses, abs=1e-9)
+
+
+@pytest.mark.slow
 def test_dark_hex_on_nine_cells_is_solved_in_seconds():
     """The first player has a sure win against anybody; the second one wins 92 % against random play."""
     game = DarkHex(3, 3)
