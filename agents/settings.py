@@ -79,7 +79,7 @@ class TrustRegion:
 
 @dataclass(frozen=True)
 class HappoConfig:
-    """Settings of the learner; docs/learning.md lists HARL-A's values."""
+    """Settings of the learner; the preset `harl_a` has HARL-A's values."""
 
     architecture: Architecture = field(default_factory=Architecture)
     """Networks of actors and critics."""

@@ -268,7 +268,9 @@ def cost(name: str, worlds: int, own: Solver, decisions: int = 64, repeats: int 
     for side, buffers in sides.items():
         arena = arenas.load(name, engine="warp", worlds=worlds)
         engine = arena.engine
-        arena.engine = MjxEngine(engine.model, engine.derived, impl="warp", worlds=worlds, buffers=buffers)
+        arena.engine = MjxEngine(
+            engine.model, engine.derived, engine.pushed, impl="warp", worlds=worlds, buffers=buffers
+        )
         arena.engine.prepare()()
         stacks = {a: stack_policies([p]) for a, p in players_of(arena, 1, True)["untrained-0"].items()}
         rollout = make_rollout(arena, decisions)

@@ -77,6 +77,15 @@ class Role:
         """True if its players ever learn."""
         return self.name != FIXED.name
 
+    def steps_left(self, since: int, steps: int) -> int | None:
+        """Return the environment steps until the timeout of a generation; None without a timeout.
+
+        Args:
+            since: environment steps of the player when the generation began.
+            steps: environment steps of the player now.
+        """
+        return None if self.timeout is None else max(0, since + self.timeout - steps)
+
     def reset_after(self, seed: int, player: str, iteration: int) -> bool:
         """Return True if the player is reset after the snapshot of that iteration; repeated calls agree."""
         rng = np.random.default_rng([seed, iteration, crc32(f"{player}/reset".encode())])

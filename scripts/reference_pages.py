@@ -1,12 +1,14 @@
 """Write the reference of commands and settings from the code: python -m scripts.reference_pages.
 
 `docs/commands.md` holds what each command prints for `--help`; `docs/settings.md` holds every key of `league.toml` with
-its default, its bounds and its note. Both are written whole, and a test fails when they are out of date.
+its default, its bounds and its note, and `docs/arenas/settings.md` those of each arena. All are written whole, and a
+test fails when they are out of date.
 """
 
 import io
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
 from dataclasses import MISSING
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 from unittest import mock
 
+from arenas import known
 from league.commands import cli
 from league.config import experiment, presets
 from league.config.schema import (
@@ -30,7 +33,6 @@ from league.config.schema import (
     settings,
     table_of,
 )
-from league.system import exit_codes
 
 ROOT = Path(__file__).parents[1]
 HEAD = "<!-- written from the code: python -m scripts.reference_pages -->"
@@ -43,27 +45,37 @@ ROOMS = {
     "play": "Matches of your own",
     "store": "Stores, archives and policies",
 }
-SHARED = ("--store", "--league", "--blobs", "--help", "--debug")
-"""Options that stand at the top of the page once, and in a command's own list only where they differ."""
+ALL_TAKE = ("--help", "--debug")
+KEYS = ("key", "default", "possible", "what it is")
 
 
 def commands() -> str:
-    """Return the page of all commands: their `--help`, by the folder that holds them."""
-    with mock.patch.dict(os.environ, {"COLUMNS": str(WIDTH)}):
-        helps = {name: _help(name) for name in cli.COMMANDS}
-    shared = {name: entry for name, entry in _entries(helps["status"]) if name in SHARED}
+    """Return the page of all commands: a table for each folder of commands, and first the options of several."""
+    helps = help_pages()
+    read = {name: dict(_options(text)) for name, text in helps.items()}
+    counts = Counter(entry for options in read.values() for entry in options.items())
+    shared = [entry for entry, count in counts.items() if count > 1 and entry[0].startswith("-")]
+    shared.sort(key=lambda entry: -counts[entry])
     parts = [
         "# Which commands are there, and what are their options?",
         HEAD,
-        "`league COMMAND --help` prints the same text. `-` and `_` are alike in an option's name; `--option VALUE` and"
-        " `--option=VALUE` are alike. These options have the same meaning for every command that takes them:",
-        _block("\n".join(shared.values())),
-        _table(("exit code", "meaning"), [(str(code), meaning) for code, meaning in exit_codes.MEANINGS.items()]),
+        "`league COMMAND --help` prints the same. `-` and `_` are alike in an option's name; `--option VALUE` and"
+        " `--option=VALUE` are alike. Defaults are in square brackets. [Exit codes](deploy.md#exit-codes).",
+        "## Options of several commands",
+        "Every command takes `--help` and `--debug`. The tables below name the others after *Also*.",
+        _table(("option", "meaning"), [(f"`{option}`", text) for option, text in shared]),
     ]
     for room, title in ROOMS.items():
         named = [name for name, (module, _) in cli.COMMANDS.items() if module.split(".")[2] == room]
-        parts += [f"## {title}", *(_block(_own(helps[name], shared)) for name in named)]
+        rows = [row for name in named for row in _rows(helps[name], read[name], shared)]
+        parts += [f"## {title}", _table(("command, option", "meaning"), rows)]
     return "\n\n".join(parts) + "\n"
+
+
+def help_pages() -> dict[str, str]:
+    """Return what each command prints for `--help`."""
+    with mock.patch.dict(os.environ, {"COLUMNS": str(WIDTH)}):
+        return {name: _help(name) for name in cli.COMMANDS}
 
 
 def _help(command: str) -> str:
@@ -79,16 +91,24 @@ def _help(command: str) -> str:
     return printed.getvalue().partition("\n\nSettings: ")[0].strip()
 
 
-def _entries(text: str) -> Iterator[tuple[str, str]]:
-    """Yield each option of a help page: its name, and its lines."""
+def _options(text: str) -> Iterator[tuple[str, str]]:
+    """Yield each option of a help page with its kind of value, and its meaning."""
     for entry in re.split(r"\n(?=  \S)", text.partition("\nOptions\n")[2]):
-        yield entry.split()[0], entry
+        option, meaning = re.split(r"\s{2,}", entry.strip(), maxsplit=1)
+        yield option, _line(meaning)
 
 
-def _own(text: str, shared: dict[str, str]) -> str:
-    """Return a help page without the options that stand at the top of the page."""
-    own = [entry for name, entry in _entries(text) if shared.get(name) != entry]
-    return "\n".join([text.partition("\nOptions\n")[0].strip(), "", *own]).strip()
+def _rows(text: str, options: dict[str, str], shared: list[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the row of a command, with its words without flags and its shared options, then those of its options."""
+    usage, _, summary = text.partition("\nOptions\n")[0].partition("\n")
+    command = usage.removeprefix("usage: ").removesuffix(" [--option VALUE ...]")
+    flags = [option.split()[0] for option, _ in shared]
+    words = [f"`{option}`: {meaning}" for option, meaning in options.items() if not option.startswith("-")]
+    common = [option for option, meaning in options.items() if (option, meaning) in shared and option not in ALL_TAKE]
+    also = ", ".join(f"`{option if flags.count(option.split()[0]) > 1 else option.split()[0]}`" for option in common)
+    yield f"**`{command}`**", " ".join([f"**{_line(summary)}**", *words, *([f"Also {also}."] if also else [])])
+    own = [entry for entry in options.items() if entry not in shared and entry[0].startswith("-")]
+    yield from ((f"`{option}`", meaning) for option, meaning in own)
 
 
 def configuration() -> str:
@@ -102,8 +122,8 @@ def configuration() -> str:
         " `--learner.lr 3e-4` on the command line. A list is written with commas, a switch is set by `--name` and unset"
         " by `--no-name`, and the word `none` unsets a setting that can be unset. Durations are written as `30s`, `5m`"
         " or `1h30m`. `league init` writes all of this as a file. The former name of a renamed setting is accepted"
-        " until the next release, with a line on stderr. The keys of `[arena]` depend on `arena.name`; this"
-        f" page has those of `{config.arena.name}`, and `league arenas NAME` prints those of any other arena.",
+        " until the next release, with a line on stderr. The keys of `[arena]` depend on `arena.name`"
+        f" (`{config.arena.name}` by default) and have [a page of their own](arenas/settings.md).",
         "## Presets",
         '`league run --preset NAME`, or `preset = "NAME"` in the file, with the file\'s other keys laid over it.',
         _table(("preset", "is"), named),
@@ -115,30 +135,57 @@ def configuration() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _tables(config: Any, prefix: Key = ()) -> Iterator[str]:
-    """Yield a title, a summary and a table of keys for each group of settings, then one for each list of tables."""
-    inner, lists = [], []
+def arena_settings() -> str:
+    """Return the page of the settings of arenas: a table for each class of settings."""
+    arenas: dict[type, dict[str, Any]] = {}
+    for name, each in known().items():
+        arenas.setdefault(type(each), {})[name] = each
+    parts = [
+        "# Which settings does an arena have?",
+        HEAD,
+        "Keys of the table `[arena]` in `league.toml`, and options of `league run`: `--arena.rules.episode 20`."
+        " Defaults are those of the arena that is named first; `league arenas NAME` prints those of any other.",
+    ]
+    for cls, named in arenas.items():
+        rows = _table(KEYS, list(_rows_of(next(iter(named.values())), ("arena",))))
+        parts += ["## " + ", ".join(f"`{name}`" for name in named), _paragraph(cls.__doc__), rows]
+    return "\n\n".join(parts) + "\n"
+
+
+def _tables(config: Any) -> Iterator[str]:
+    """Yield a title, a summary and a table of keys for each top table of settings, then for each list of tables."""
+    yield from ("## The league", _paragraph(type(config).__doc__), _table(KEYS, list(_keys(type(config), config, ()))))
     for each in settings(config):
-        key, hint, value = (*prefix, key_of(each)), hints(type(config))[each.name], getattr(config, each.name)
-        if is_table(value):
-            inner.append((value, key))
-        elif table_of(hint) is not None:
-            lists.append((table_of(hint), key, notes(type(config))[1].get(each.name, "")))
-    if table := _keys(type(config), config, prefix):
-        yield f"## `[{'.'.join(prefix)}]`" if prefix else "## The league"
-        yield _paragraph(type(config).__doc__)
-        yield table
-    for value, key in inner:
-        yield from _tables(value, key)
-    for kind, key, note in lists:
-        yield f"## `[[{'.'.join(key)}]]`"
-        yield _line(note)
-        yield _keys(kind, None, ())
+        key, value = key_of(each), getattr(config, each.name)
+        if is_table(value) and key != "arena":
+            yield from (f"## `[{key}]`", _paragraph(type(value).__doc__), _table(KEYS, list(_rows_of(value, (key,)))))
+    for kind, key, note in _lists(config, ()):
+        yield from (f"## `[[{'.'.join(key)}]]`", _line(note), _table(KEYS, list(_keys(kind, None, ()))))
 
 
-def _keys(cls: type, values: Any, prefix: Key) -> str:
-    """Return the settings of a class as a table, with the defaults of `values`, or of the class where that is None."""
-    rows, found = [], notes(cls)[1]
+def _rows_of(config: Any, key: Key) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a table's own keys, then of the tables in it, each after a row with its summary."""
+    yield from _keys(type(config), config, key)
+    for each in settings(config):
+        if is_table(value := getattr(config, each.name)):
+            inner = (*key, key_of(each))
+            yield f"**`[{'.'.join(inner)}]`**", "", "", f"**{_paragraph(type(value).__doc__)}**"
+            yield from _rows_of(value, inner)
+
+
+def _lists(config: Any, key: Key) -> Iterator[tuple[type, Key, str]]:
+    """Yield each list of tables in the settings: the class of one, its key and its note."""
+    for each in settings(config):
+        inner = (*key, key_of(each))
+        if is_table(value := getattr(config, each.name)):
+            yield from _lists(value, inner)
+        elif (kind := table_of(hints(type(config))[each.name])) is not None:
+            yield kind, inner, notes(type(config))[1].get(each.name, "")
+
+
+def _keys(cls: type, values: Any, prefix: Key) -> Iterator[tuple[str, ...]]:
+    """Yield the row of each setting of a class, with the defaults of `values`, or of the class where that is None."""
+    found = notes(cls)[1]
     for each in settings(cls):
         hint, value = hints(cls)[each.name], absent(each, values)
         if is_table(value) or (values is not None and table_of(hint) is not None):
@@ -146,8 +193,7 @@ def _keys(cls: type, values: Any, prefix: Key) -> str:
         default, possible = ("none", "a table") if table_of(hint) else (_default(value), _possible(each, hint))
         former = each.metadata.get("formerly")
         note = found.get(each.name, "") + (f" Formerly `{former}`." if former else "")
-        rows.append((f"`{'.'.join((*prefix, key_of(each)))}`", default, possible, note))
-    return _table(("key", "default", "possible", "what it is"), rows) if rows else ""
+        yield f"`{'.'.join((*prefix, key_of(each)))}`", default, possible, note
 
 
 def _default(value: Any) -> str:
@@ -183,12 +229,16 @@ def _table(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(_line(cell).replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
 
 
-PAGES: dict[str, Callable[[], str]] = {"docs/commands.md": commands, "docs/settings.md": configuration}
+PAGES: dict[str, Callable[[], str]] = {
+    "docs/commands.md": commands,
+    "docs/settings.md": configuration,
+    "docs/arenas/settings.md": arena_settings,
+}
 """Each page's file, relative to the repository, and what writes it."""
 
 
 def main() -> None:
-    """Write both pages."""
+    """Write all pages."""
     for file, text in PAGES.items():
         (ROOT / file).write_text(text(), "utf-8")
         print(file)

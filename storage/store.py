@@ -20,7 +20,7 @@ import sqlalchemy as sa
 
 from storage.blobs.blobs import open_blobs
 from storage.blobs.identity import IdentifiedBlobs
-from storage.database import opening
+from storage.database import engines
 from storage.database import schema as t
 from storage.database.connection import Database
 from storage.database.opening import open_database
@@ -79,7 +79,7 @@ class Store(Leadership, Players, Results, JobQueue):
     def locked(self, seconds: float = 1.0) -> bool:
         """Return whether a process blocks all writers for at least `seconds`; always False for a server."""
         engine = self._db.engine
-        return engine.dialect.name == "sqlite" and opening.is_locked(Path(self.where), seconds)
+        return engine.dialect.name == "sqlite" and engines.is_locked(Path(self.where), seconds)
 
     # Transfer between stores
 

@@ -120,7 +120,7 @@ def act(
         action, log_prob = jnp.zeros((*group_keys.shape, *like.shape), like.dtype), jnp.zeros(group_keys.shape)
     if stack.script is not None:
         branches = [lambda seen, group_keys, *own: own, *(_script_branch(script) for script in scripts)]
-        action, log_prob = jax.lax.map(
+        action, log_prob = _each_group(
             lambda group: jax.lax.switch(group[0], branches, *group[1:]),
             (stack.script, seen, group_keys, action, log_prob),
         )
@@ -240,6 +240,15 @@ def _learned_actions(stack: PolicyStack, seen: Array, group_keys: Array, memory:
         action = jnp.where(here[..., None], other, action)
         log_prob = jnp.where(here, density, log_prob)
     return action, log_prob
+
+
+def _each_group(function: Callable, groups: tuple[Array, ...]) -> tuple[Array, Array]:
+    """Apply a function of one group to all K groups.
+
+    On a CPU one group follows the other, so that each computes its own script alone. On a GPU that loop waits for the
+    host K times in each decision; there all groups compute all scripts at once.
+    """
+    return jax.lax.map(function, groups) if jax.default_backend() == "cpu" else jax.vmap(function)(groups)
 
 
 def _script_branch(script: Script) -> Callable[..., tuple[Array, Array]]:

@@ -70,6 +70,11 @@ def with_meters(arena: Arena, worlds: int, buffers: Solver | None = None) -> Are
         raise EngineError(f"only engine warp has buffers to be measured; {arena.name} runs on {engine.name}")
     twin = copy.copy(arena)
     twin.engine = MeteredEngine(
-        engine.model, engine.derived, impl="warp", worlds=worlds, buffers=buffers or engine.buffers
+        engine.model,
+        engine.derived,
+        engine.pushed,
+        impl="warp",
+        worlds=worlds,
+        buffers=buffers or engine.buffers,
     )
     return twin

@@ -12,7 +12,7 @@ from league.system import environment, exit_codes, output_streams
 environment.prepare()
 
 COMMANDS = {
-    "run": ("league.commands.run.run", "run a league: train, play rating matches, go on where it stopped"),
+    "run": ("league.commands.run.run", "run a league: train, play rating matches, continue where it stopped"),
     "worker": ("league.commands.run.join", "work for a league that runs, from any host that reaches its store"),
     "stop": ("league.commands.run.stop", "stop a running league, on whatever host it runs"),
     "status": ("league.commands.run.status", "what runs, who learns, which jobs wait or were set aside"),

@@ -53,7 +53,7 @@ class HypothesesOptions:
     elo0: float = 0.0
     """The Elo difference by which A is not better."""
     elo1: float = 20.0
-    """The one by which it is."""
+    """The Elo difference by which A is better."""
     alpha: float = field(default=0.05, metadata={"above": 0.0, "below": 1.0})
     """Maximum probability of accepting if elo0 is true."""
     beta: float = field(default=0.05, metadata={"above": 0.0, "below": 1.0})

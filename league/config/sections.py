@@ -99,7 +99,7 @@ class Training:
     snapshots_per_doubling: int = field(default=1, metadata={"low": 1, "high": 16})
     """A snapshot at iterations 1, 2, 4, 8, ...; more of them in between with 2 or more."""
     resting_critics: bool = True
-    """In leapfrog, critics and value normalisers of resting teams learn on, lest they be stale at their turn."""
+    """In leapfrog, critics and value normalisers of resting teams learn on, so that none is stale at its turn."""
     record_every: int | None = field(default=None, metadata={"low": 0})
     """Learning iterations between two recordings of an episode as it is played while players learn (0: none are made;
     none: 100 on a CPU, and none are made elsewhere)."""
@@ -169,7 +169,7 @@ class Rating:
 
 @dataclass(frozen=True)
 class Budget:
-    """Conditions that end a league; without any it goes on for ever."""
+    """Conditions that end a league; without any it trains until it is stopped."""
 
     training_time: str | None = field(default=None, metadata={"valid": _lasts, "formerly": "train"})
     """Training time in all, e.g. 5m or 1h30m."""
@@ -234,9 +234,9 @@ class Workers:
     threads: int = field(default=0, metadata={"low": 0, "high": 1024})
     """Threads of the C engine in each (0: all cores)."""
     lease: float = field(default=60.0, metadata={"low": 3.0, "high": 3600.0})
-    """Seconds after which the job of a silent worker goes to another; it says that it holds it four times as often."""
+    """Seconds without a renewal after which a worker's job goes to another; renewed every quarter of that."""
     max_attempts: int = field(default=3, metadata={"low": 1, "high": 100, "formerly": "tries"})
-    """Attempts at a failing job before it is set aside; the league goes on without it."""
+    """Attempts at a failing job before it is set aside; the league continues without it."""
 
 
 @dataclass(frozen=True)

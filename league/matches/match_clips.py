@@ -64,7 +64,7 @@ def _caption(kind: str, match: Match | RankedMatch, recording: Recording, clip: 
 
 
 class BackgroundClips:
-    """The clips of a league that may go on, made one after the other in a thread of the lowest priority."""
+    """The clips of a league that may still run, made one after the other in a thread of the lowest priority."""
 
     def __init__(self, now: Callable[[], Open], most: int):
         """Make clips of up to `most` matches of the league that `now` opens."""

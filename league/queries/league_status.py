@@ -1,18 +1,25 @@
-"""The status of a league for `league status` and the page: rows and lines, derived from its facts."""
+"""The status of a league for `league status` and the page: rows and lines, read from its store and this machine."""
 
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from dashboards.text import clock
 from league.config.sections import Budget
-from league.queries import status_lines
-from league.queries.league_facts import LeagueFacts
-from league.queries.query import Open
-from league.scheduling import rating_budget
+from league.queries.league_settings import LeagueSettings
+from league.queries.player_copies import copying, read_hyperparameters
+from league.queries.query import Open, score_text
+from league.scheduling.player_resets import Generation, current_generation
+from league.state.curriculum_stage import course
 from league.state.league_state import Group, LeagueState
+from league.state.liveness import leader, processes
 from league.state.void_rates import warnings as void_warnings
-from matchmaking.roles import FIXED
-from storage.records import Job, JobState, Player, Worker
+from league.system import devices
+from matchmaking.roles import FIXED, Role
+from matchmaking.schedule import LearningCounts, remaining
+from storage.records import Job, JobState, Phase, Player, Worker
+from storage.store import Store
 
 STATES: Mapping[JobState, str] = {
     "queued": "queued",
@@ -52,31 +59,65 @@ class LeagueStatus:
 def gather_status(opened: Open, whole_errors: bool = False, state: LeagueState | None = None) -> LeagueStatus:
     """Return a league's status, with the first line of each error, or all of it.
 
-    `state` saves reading if the caller has the league's state already.
+    `state` saves reading if the caller has the league's state already, with games.
     """
-    return describe(LeagueFacts.read(opened.store, opened.league, state), whole_errors)
-
-
-def describe(facts: LeagueFacts, whole_errors: bool = False) -> LeagueStatus:
-    """Return the status of a league from its facts."""
-    state = facts.state
+    store, league, settings = opened.store, opened.league, opened.settings()
+    state = state or _read_state(store, league, settings)
+    manager, alive = leader(store, league), processes(store, league)
+    workers = [worker for worker in alive if worker.kinds != "manager"]
+    runs, counts = _runs(manager, len(workers)), store.job_counts(league)
+    groups, trained = state.learning_groups(settings.schedule()), state.trained(settings.schedule())
+    moved = read_hyperparameters(store, settings, state)
     failed = [job for job in state.jobs if job.failures]
     return LeagueStatus(
-        facts.league, facts.runs, {name: facts.job_counts.get(name, 0) for name in STATES},
-        [_player(player, state, bool(facts.runs)) for player in state.players],
-        f"Rating: {_rating_share(facts)}",
-        status_lines.stages(facts.stages),
-        status_lines.generations(facts.roles, state),
-        [status_lines.phase_line(p, state) for p in state.phases.values() if p.learners],
-        status_lines.population(facts.copies_after, state, facts.hyperparameters),
-        [f"{p.name}: {status_lines.error(p.paused, whole_errors)}" for p in state.players if p.paused is not None],
-        [status_lines.failed_job(job, whole_errors) for job in failed if job.state != "failed"],
-        [status_lines.failed_job(job, whole_errors) for job in failed if job.state == "failed"],
+        league, runs, {name: counts.get(name, 0) for name in STATES},
+        [_player(player, state, bool(runs)) for player in state.players],
+        _rating_share(store, league, settings.rating_share, trained),
+        _stages(store, league),
+        _generations(_roles(settings, state), state),
+        [_phase(p, state) for p in state.phases.values() if p.learners],
+        [f"{name}: {copying(settings.copies_after, state, name, own)}" for name, own in moved.items()],
+        [f"{p.name}: {_error(p.paused, whole_errors)}" for p in state.players if p.paused is not None],
+        [_failed_job(job, whole_errors) for job in failed if job.state != "failed"],
+        [_failed_job(job, whole_errors) for job in failed if job.state == "failed"],
         void_warnings(state.voids),
-        _workers(facts),
-        _progress(facts.budget, facts.groups),
-        status_lines.machine(facts.free_disk, facts.gpus),
+        _workers(workers, state, store.now()),
+        _progress(settings.training_budget(), groups),
+        _machine(_free_disk(store), devices.memory()),
     )  # fmt: skip
+
+
+def _read_state(store: Store, league: str, settings: LeagueSettings) -> LeagueState:
+    """Return the state of a league, with snapshots and training games only if the status needs them."""
+    state = LeagueState.without_games(store, league)
+    if settings.copies_after or any(role.has_generations for role in _roles(settings, state).values()):
+        return replace(state, snapshots=store.snapshots(league, brief=True), meetings=store.meetings(league))
+    return state
+
+
+def _roles(settings: LeagueSettings, state: LeagueState) -> dict[str, Role]:
+    """Return the role of each player that has been trained."""
+    role_of = settings.roles()
+    return {p.name: role_of(p.role) for p in state.players if p.name in state.checkpoints}
+
+
+def _runs(manager: str | None, workers: int) -> str:
+    """Describe the process that runs a league with live workers; return an empty text for a league that is stopped.
+
+    A manager that was killed leads until its lease expires, unless its process is known to be gone.
+    """
+    if manager is not None:
+        return f"running, managed by {manager}"
+    return f"stopping, {workers} workers still finish what they do" if workers else ""
+
+
+def _stages(store: Store, league: str) -> list[str]:
+    """Describe the stages of the league's curriculum; settings are read only if it has one."""
+    if course(store, league) is None:
+        return []
+    from league.scheduling import curriculum
+
+    return curriculum.report(curriculum.read_stages(store, league))
 
 
 def _player(player: Player, state: LeagueState, runs: bool) -> dict:
@@ -112,15 +153,16 @@ def _progress(budget: Budget, groups: Sequence[Group]) -> dict[str, float]:
     return found
 
 
-def _rating_share(facts: LeagueFacts) -> str:
+def _rating_share(store: Store, league: str, share: float, trained: float) -> str:
     """Compare the device time of rating with that of training since the first rating batch whose time is known."""
-    trained = max(0.0, facts.trained - facts.rating_start)
-    return rating_budget.describe_share(facts.rating_share, trained, facts.rating_seconds, facts.rating_episodes)
+    rated, start = store.booked(league)
+    text = describe_rating_share(share, max(0.0, trained - start), rated, store.booked_episodes(league))
+    return f"Rating: {text}"
 
 
-def _workers(facts: LeagueFacts) -> list[dict]:
-    leased = {job.holder: job for job in facts.state.jobs if job.state == "leased"}
-    return [_worker(worker, leased.get(worker.id), facts.now) for worker in facts.workers]
+def _workers(workers: Sequence[Worker], state: LeagueState, now: float) -> list[dict]:
+    leased = {job.holder: job for job in state.jobs if job.state == "leased"}
+    return [_worker(worker, leased.get(worker.id), now) for worker in workers]
 
 
 def _worker(worker: Worker, job: Job | None, now: float) -> dict:
@@ -132,3 +174,93 @@ def _worker(worker: Worker, job: Job | None, now: float) -> dict:
         "iteration": said.get("iteration"), "steps/s": said.get("steps_per_second"),
         "seen s ago": round(now - worker.seen, 1),
     }  # fmt: skip
+
+
+def _free_disk(store: Store) -> float | None:
+    """Return the free bytes for the store on this machine; None if the store is elsewhere."""
+    folders = [Path(store.where).parent, getattr(store.blobs, "folder", None)]
+    free = [shutil.disk_usage(folder).free for folder in folders if folder is not None and folder.is_dir()]
+    return min(free) if free and "://" not in store.where else None
+
+
+# Lines ----------------------------------------------------------------------------------------------------------------
+
+
+def _phase(phase: Phase, state: LeagueState) -> str:
+    """Name the learners of a turn, the iteration at which it began and the rule that ends it."""
+    left = remaining(phase, {name: LearningCounts(at.iteration, at.step) for name, at in state.checkpoints.items()})
+    since = ", ".join(dict.fromkeys(str(phase.since.get(name, 0)) for name in phase.learners))
+    if left is None:
+        end = "nothing ends it"
+    elif "step" in phase.until:
+        end = f"it ends at step {phase.until['step']:,}, {left:,} are left"
+    else:
+        end = f"it ends after {phase.until['iterations']} iterations, {left} are left"
+    if "score" in phase.until:
+        score = state.scores[phase.learners[0]]
+        now = f"it scores {score_text(score)}" if score.games else "no episode has ended yet"
+        sure = f"surely scores above {100 * phase.until['score']:g} %: {now}"
+        over = score.low > phase.until["score"]
+        end = f"its turn is over, because it {sure}" if over else f"{end}, or before that when it {sure}"
+    verb = "learns" if len(phase.learners) == 1 else "learn"
+    return f"group {phase.group}: {' and '.join(phase.learners)} {verb} since iteration {since}; {end}"
+
+
+def _generation(player: Player, now: Generation) -> str:
+    """Describe the start of a player's generation, the rule that ends it, and what follows."""
+    role, ends = now.role, []
+    if role.win_rate is not None:
+        least = min(now.scores.items(), key=lambda item: item[1].low, default=None)
+        text = "nobody is there yet" if least is None else f"least sure against {least[0]}, {score_text(least[1])}"
+        ends.append(f"it surely scores above {100 * role.win_rate:g} % against all {len(now.scores)} it meets ({text})")
+    if role.timeout is not None:
+        ends.append(f"after {role.timeout:,} steps ({now.left:,} are left)")
+    text = f"{player.name} ({role.name}) since {now.since.name}: frozen when {' or '.join(ends)}"
+    if not role.can_reset:
+        return text
+    source = "its first policy" if role.reset == "initial" else "the newest main player"
+    chance = "" if role.reset_chance in (None, 1) else f", with probability {role.reset_chance:g}"
+    return f"{text}; then it is reset to {source}{chance}"
+
+
+def _generations(roles: Mapping[str, Role], state: LeagueState) -> list[str]:
+    """Describe the current generation of each player whose role has generations."""
+    now = [
+        (p, current_generation(roles[p.name], state, p, state.checkpoints[p.name].step))
+        for p in state.players
+        if p.name in roles
+    ]
+    return [_generation(player, each) for player, each in now if each is not None]
+
+
+def _failed_job(job: Job, whole: bool) -> str:
+    """Name a job with the number of attempts and the last error, whole or its first line."""
+    return f"{job.key}, tried {job.failures} times: {_error(job.error, whole)}"
+
+
+def _error(text: str | None, whole: bool) -> str:
+    """Return all lines of an error, or the first line and a hint how to see the others."""
+    lines = (text or "no reason was given").strip().splitlines()
+    if whole or len(lines) == 1:
+        return "\n    ".join(lines)
+    return f"{lines[0]} (--debug shows it all)"
+
+
+def describe_rating_share(share: float, trained: float, rated: float, episodes: int = 0) -> str:
+    """Describe the requested share and the actual share of `rated` device seconds.
+
+    With `episodes` played in these seconds, add the episodes per second of a device.
+    """
+    asked = "as much as they get" if share == 1.0 else f"{100 * share:.3g} %"
+    if not trained:
+        return f"nobody has learnt yet (rating.share: {asked})"
+    speed = episodes / rated if rated else 0.0
+    pace = f", {speed:{',.0f' if speed >= 100 else '.3g'}} games per second of a device" if speed else ""
+    return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked}){pace}"
+
+
+def _machine(free_disk: float | None, gpus: Sequence[devices.Memory]) -> str:
+    """Describe the free disk space for a store on this machine, and the memory of its GPUs in use."""
+    disk = [f"Disk: {free_disk / 1e9:,.1f} GB free"] if free_disk is not None else []
+    memory = [f"{gpu.used:.1f} of {gpu.total:.1f} GB of GPU {gpu.name} in use" for gpu in gpus]
+    return "; ".join([*disk, *memory]) or "Disk: not of this machine"

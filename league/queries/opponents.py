@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dashboards.tables import Column
-from league.queries.league_facts import read_hyperparameters
+from league.queries.player_copies import copying, read_hyperparameters
 from league.queries.query import Open
-from league.queries.status_lines import copying
 from league.scheduling.opponent_sampling import WIN_RATE, OpponentDistribution, opponent_distribution, records
 from league.state.league_state import LeagueState
 from matchmaking.opponents import Opponents, WinRecords

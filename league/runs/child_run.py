@@ -105,7 +105,7 @@ class ChildRun:
         raise RunError(message, transient=code == exit_codes.PASSING or code < 0)
 
     def close(self) -> None:
-        """Close the pipes; a run that goes on stops after its iteration."""
+        """Close the pipes; a run that is under way stops after its iteration."""
         for pipe in filter(None, (self._process.stdin, self._answer)):
             with suppress(OSError):
                 pipe.close()

@@ -45,8 +45,8 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
         except (ValueError, PlayerDiverged) as error:
             raise ConfigError(
                 ("league",),
-                f"league {config.league!r} cannot go on with these settings of its learner: {player.name}: {error}; go"
-                " on with the settings that it had, or choose another league name",
+                f"league {config.league!r} cannot continue with these settings of its learner: {player.name}: {error};"
+                " use the settings that it had, or choose another league name",
             ) from None
 
 

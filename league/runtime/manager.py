@@ -22,8 +22,7 @@ from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.runtime.heartbeat import BEAT
 from league.runtime.warm_worker import WarmWorker
-from league.runtime.worker import WorkerSpec
-from league.runtime.worker_process import work
+from league.runtime.worker_process import WorkerSpec, work
 from league.scheduling import match_scheduler, training_progress, turn_scheduler
 from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.league_state import LeagueState

@@ -21,8 +21,7 @@ from typing import Any
 
 from league.config.experiment import Config
 from league.config.run_spec import RunSpec
-from league.runtime.worker import WorkerSpec
-from league.runtime.worker_process import work
+from league.runtime.worker_process import WorkerSpec, work
 from league.system import provenance
 from league.system.arena_build import Built
 

@@ -10,11 +10,9 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from league.config.experiment import Config
-from league.config.run_spec import RunSpec
 from league.runtime.heartbeat import BEAT, Heartbeat, none_on_error
 from league.runtime.rating_jobs import RatingJobs
 from league.runtime.worker_health import WorkerHealth
@@ -29,6 +27,7 @@ from storage.store import Store
 
 if TYPE_CHECKING:
     from arenas.arena import Arena
+    from league.runtime.worker_process import WorkerSpec
     from league.system.arena_build import Built
     from league.system.gpu_sharing import Pace
     from league.training.data_parallel import DataParallelTrainer
@@ -40,18 +39,6 @@ AWAY = 1.0  # seconds between two attempts to reach a store that is away
 R = TypeVar("R")
 
 
-@dataclass(frozen=True)
-class WorkerSpec:
-    """The values that the process of a worker receives."""
-
-    run: RunSpec
-    kinds: tuple[str, ...]  # of jobs that it takes
-    number: int  # among the workers of these kinds
-    parent: int | None  # process id of its manager: the worker ends when that process is gone
-    devices: int = 1  # that its jobs use; several devices are used by processes of their own
-    leader: str = ""  # without a parent: the league's manager; the worker ends when the league has another one
-
-
 class Worker:
     """The loop of one process over leases. Arena, learners and compiled matches stay in memory between jobs.
 
@@ -60,7 +47,7 @@ class Worker:
     """
 
     def __init__(
-        self, store: Store, config: Config, spec: WorkerSpec, stopping: threading.Event, built: "Built | None" = None
+        self, store: Store, config: Config, spec: "WorkerSpec", stopping: threading.Event, built: "Built | None" = None
     ):
         self.store, self.config, self.spec, self.stopping, self.built = store, config, spec, stopping, built
         self.host, self.pid = socket.gethostname(), os.getpid()

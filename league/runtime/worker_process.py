@@ -7,10 +7,12 @@ import os
 import signal
 import sys
 import threading
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arenas.physics.cpu import cores
-from league.runtime.worker import AWAY, Worker, WorkerSpec
+from league.config.run_spec import RunSpec
+from league.runtime.worker import AWAY, Worker
 from league.state.jobs import RatingMatch
 from league.system import devices, environment, exit_codes, provenance
 from storage.database import lock_wait
@@ -19,6 +21,18 @@ from storage.store import Store
 
 if TYPE_CHECKING:
     from league.system.arena_build import Built
+
+
+@dataclass(frozen=True)
+class WorkerSpec:
+    """The values that the process of a worker receives."""
+
+    run: RunSpec
+    kinds: tuple[str, ...]  # of jobs that it takes
+    number: int  # among the workers of these kinds
+    parent: int | None  # process id of its manager: the worker ends when that process is gone
+    devices: int = 1  # that its jobs use; several devices are used by processes of their own
+    leader: str = ""  # without a parent: the league's manager; the worker ends when the league has another one
 
 
 def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
@@ -58,7 +72,7 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
         print(f"league: {name}: {error}", file=sys.stderr, flush=True)
         sys.exit(exit_codes.of(error))
     if worker.unfit:
-        message = f"league: {name} {spec.number} on {worker.host} stops, for it cannot do its jobs: {worker.unfit}"
+        message = f"league: {name} {spec.number} on {worker.host} stops, because it cannot do its jobs: {worker.unfit}"
         print(message, file=sys.stderr, flush=True)
         sys.exit(exit_codes.UNFIT)
 

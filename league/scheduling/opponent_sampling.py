@@ -22,6 +22,7 @@ from matchmaking.opponents import (
     alphastar,
     by_quality,
     delta_uniform,
+    draw,
     exploit,
     gaussian,
     latest,
@@ -46,6 +47,11 @@ class OpponentDistribution:
     mixture: Mixture
     read: np.ndarray | None = None  # (n,) input of the rule: win rates, predicted scores, qualities or payoffs
     quantity: str = ""  # the name of that input
+
+    def draw(self, groups: int, rng: np.random.Generator) -> list[tuple[str, float]]:
+        """Return for each of so many groups of worlds a snapshot, "" for the present player, and its probability."""
+        names, weights = (*self.names, ""), self.mixture.weights
+        return [(names[i], float(weights[i])) for i in draw(weights, groups, rng)]
 
 
 def opponent_distribution(

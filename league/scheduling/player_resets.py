@@ -27,7 +27,7 @@ class Generation:
     @property
     def left(self) -> int | None:
         """Environment steps until its timeout; None without one."""
-        return steps_left(self.role, self.since, self.since.step + self.steps)
+        return self.role.steps_left(self.since.step, self.since.step + self.steps)
 
     @property
     def won(self) -> bool:
@@ -39,14 +39,6 @@ class Generation:
     def over(self) -> bool:
         """Return whether the generation ends now, with a snapshot."""
         return self.steps > 0 and (self.won or self.left == 0)
-
-
-def steps_left(role: Role, since: Snapshot, steps: int) -> int | None:
-    """Environment steps until the timeout of a generation that began with `since`; None without a timeout.
-
-    `steps` are all environment steps of the player.
-    """
-    return None if role.timeout is None else max(0, since.step + role.timeout - steps)
 
 
 def current_generation(role: Role, state: LeagueState, player: Player, steps: int) -> Generation | None:

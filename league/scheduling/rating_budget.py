@@ -27,16 +27,3 @@ def next_slot(share: float, trained: float, last: Batches | None) -> float | Non
     if due > trained and share < 1.0:
         return None
     return min(max(due, trained - CREDIT), trained)
-
-
-def describe_share(share: float, trained: float, rated: float, episodes: int = 0) -> str:
-    """Describe the requested share and the actual share of `rated` device seconds, e.g. for `league status`.
-
-    With `episodes` played in these seconds, add the episodes per second of a device.
-    """
-    asked = "as much as they get" if share == 1.0 else f"{100 * share:.3g} %"
-    if not trained:
-        return f"nobody has learnt yet (rating.share: {asked})"
-    speed = episodes / rated if rated else 0.0
-    pace = f", {speed:{',.0f' if speed >= 100 else '.3g'}} games per second of a device" if speed else ""
-    return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked}){pace}"

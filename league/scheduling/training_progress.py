@@ -80,6 +80,11 @@ def measure(config: Config, state: LeagueState) -> TrainingProgress:
     return TrainingProgress(groups, opened)
 
 
+def trained_enough(config: Config, state: LeagueState) -> bool:
+    """Return whether no player will learn any more under these settings."""
+    return measure(config, state).finished
+
+
 def _measure_group(config: Config, state: LeagueState, group: Group, failed: Sequence[TrainingTurn]) -> GroupProgress:
     """Compute the progress of one group; `failed` are its turns that were set aside."""
     name, players, seconds, steps, phase, histories = group

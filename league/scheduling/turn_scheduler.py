@@ -13,12 +13,10 @@ import numpy as np
 from league.config.experiment import Config
 from league.scheduling import training_progress
 from league.scheduling.opponent_sampling import opponent_distribution
-from league.scheduling.player_resets import steps_left
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
 from league.state.jobs import TrainingTurn, encode
 from league.state.league_state import LeagueState
-from matchmaking.opponents import draw
 from matchmaking.schedule import next_due
 from storage.records import Job, Phase, Player
 
@@ -32,11 +30,6 @@ class Plan:
 
     jobs: tuple[Job, ...] = ()
     phases: tuple[Phase, ...] = ()
-
-
-def trained_enough(config: Config, state: LeagueState) -> bool:
-    """Return whether no player will learn any more under these settings."""
-    return training_progress.measure(config, state).finished
 
 
 def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
@@ -105,7 +98,7 @@ def _iterations(config: Config, group: GroupProgress, phase: Phase) -> int:
     training, limits, steps = config.training, [config.training.iterations_per_turn], []
     for _, role, at, history, _ in group.learners:
         if role.timeout is not None:
-            steps.append(steps_left(role, history[-1], at.step) or 0)
+            steps.append(role.steps_left(history[-1].step, at.step) or 0)
         elif not role.has_generations:
             limits.append(next_due(at.iteration, training.snapshots_per_doubling) - at.iteration)
     if group.remaining is not None:
@@ -138,11 +131,10 @@ def _opponents(seed: int, state: LeagueState, learner: Learner, seats: Sequence[
         if team == player.team:
             continue
         found = opponent_distribution(rule, state, player, team, opponent, learner.role, since)
-        names, weights = (*found.names, ""), found.mixture.weights
-        for assignment, i in zip(assignments, draw(weights, past, rng), strict=True):
-            assignment[team] = names[i]
-            if names[i]:
-                chances[names[i]] = (float(weights[i]), len(found.names))
+        for assignment, (name, chance) in zip(assignments, found.draw(past, rng), strict=True):
+            assignment[team] = name
+            if name:
+                chances[name] = (chance, len(found.names))
     return tuple(map(tuple, assignments)), chances
 
 

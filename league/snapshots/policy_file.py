@@ -199,9 +199,9 @@ def _examine(found: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
     arena = about["arena"]
     if arena is not None:
         if not isinstance(arena, dict) or arena.keys() != set(ArenaKey._fields):
-            raise ValueError("its arena is not told by name, configuration hash and engine")
+            raise ValueError("its arena is not given by name, configuration hash and engine")
         if not all(isinstance(value, str) and value.isprintable() for value in arena.values()):
-            raise ValueError("its arena is not told in words")
+            raise ValueError("its arena is not given as text")
     agents_of(found, about["roster"])
     if hashlib.sha256(arrays.to_bytes(found)).hexdigest() != about["digest"]:
         raise ValueError("its parameters are not those that were exported")

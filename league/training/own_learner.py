@@ -69,7 +69,7 @@ class OwnLearner:
         self._programs: list[HostPolicy] = []  # kept, because a rollout knows them by number alone
         self._fault = ""  # of an agent's function, in the newest rollout
 
-    # The five verbs --------------------------------------------------------------------------------------------------
+    # The five methods ------------------------------------------------------------------------------------------------
 
     def act(self) -> list[Arrays | HostPolicy]:
         """Return how each agent acts in the next rollout: an actor's arrays, or a policy that is called on the host."""
@@ -152,7 +152,7 @@ class OwnLearner:
         saved, again = self.save(), OwnLearner(self.player, self.source)
         again.load(saved)
         if arrays.to_bytes(again.save()) != arrays.to_bytes(saved):
-            raise self._failed(".load: afterwards `save` gives something else: a league could not go on from it")
+            raise self._failed(".load: afterwards `save` gives something else: a league could not continue from it")
 
     # What it gives ---------------------------------------------------------------------------------------------------
 

@@ -75,9 +75,7 @@ class TrainingRecorder:
         except Exception as error:
             self._every = 0
             why = " ".join(str(error).split()) or type(error).__name__
-            print(
-                f"league: this process records no more of training, which goes on: {why}", file=sys.stderr, flush=True
-            )
+            print(f"league: this process stops recording training, which continues: {why}", file=sys.stderr, flush=True)
         return time.monotonic() - began
 
     def _recorded(

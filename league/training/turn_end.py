@@ -72,7 +72,7 @@ class TurnFinalizer:
         """Return whether a learner's generation has lasted for the steps of its role's timeout."""
         pool = self.pool
         return any(
-            player_resets.steps_left(pool.role(name), pool.histories[name][-1], pool.counters[name].steps) == 0
+            pool.role(name).steps_left(pool.histories[name][-1].step, pool.counters[name].steps) == 0
             for name in self.turn.learners
         )
 

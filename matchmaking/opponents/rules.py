@@ -180,7 +180,7 @@ def exploit(win_rates: np.ndarray, players: Sequence[str]) -> Mixture:
         if x[own[-1]] > TOO_STRONG_BELOW:
             chosen, how = latest(len(own)), "as it was frozen last"
         else:
-            chosen, how = pfsp(x[own], "variance"), f"its past, for it is beaten in {100 * x[own[-1]]:.0f} %"
+            chosen, how = pfsp(x[own], "variance"), f"its past, because it is beaten in {100 * x[own[-1]]:.0f} %"
         past += _scatter(len(x), own, chosen) / len(set(players))
         why.append(f"{player} {how}")
     return Mixture(0.0, past, "; ".join(why))

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from storage.blobs.blobs import FolderBlobs, open_blobs
+from storage.blobs.blobs import open_blobs
+from storage.blobs.folder import FolderBlobs
 from storage.database.urls import blobs_location, database_url, display_url
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
+from filelock import FileLock
 
 from arenas.arena import Arena
 from league.config import presets
@@ -90,22 +91,33 @@ def hold(folder: Path, pid: int) -> None:
         time.sleep(0.05)
 
 
+def ran_once(factory: pytest.TempPathFactory, name: str, *args: str) -> Path:
+    """A folder of this process with the league that `league run ARGS` makes there; all processes of a session share the
+    run, whose output is in out.txt.
+    """
+    base = factory.getbasetemp()
+    made = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"{name}-made"
+    with FileLock(made.with_suffix(".lock")):
+        if not (made / "out.txt").exists():
+            made.mkdir()
+            done = call("run", *args, cwd=made)
+            assert done.returncode == 0, done.stderr
+            (made / "out.txt").write_text(done.stdout)
+    return shutil.copytree(made, base / name)
+
+
 @pytest.fixture(scope="session")
 def tiny_league(tmp_path_factory):
     """The folder in which a tiny league has been run to the end of its budget, and what it printed."""
-    folder = tmp_path_factory.mktemp("tiny")
-    done = call("run", *TINY, "--steps", "33000", "--budget.rating_time", "30s", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder, done.stdout
+    folder = ran_once(tmp_path_factory, "tiny", *TINY, "--steps", "33000", "--budget.rating_time", "30s")
+    return folder, (folder / "out.txt").read_text()
 
 
 @pytest.fixture(scope="session")
 def bodiless_league(tmp_path_factory) -> Path:
     """The folder of a league without bodies that has had its budget of four iterations and plays no matches."""
-    folder = tmp_path_factory.mktemp("bodiless")
-    done = call("run", *BODILESS, "--steps", "8192", "--budget.rating_time", "0s", "--workers.match", "0", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder
+    without = ("--budget.rating_time", "0s", "--workers.match", "0")
+    return ran_once(tmp_path_factory, "bodiless", *BODILESS, "--steps", "8192", *without)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import re
 import runpy
 import shlex
+import shutil
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -109,6 +110,8 @@ def test_every_step_of_the_hour_runs_in_its_order(folder, capsys):
                 assert said(capsys, "robot", "my/go1.xml")[0] in (0, 1), "it may fall"
             case "league", list(words):
                 out += league(words, capsys, folder)
+            case "cp", [example, file]:
+                shutil.copy(ROOT / example, folder / file)
             case "python", [file]:
                 train(file)
             case _, str(text):

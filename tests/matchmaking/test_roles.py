@@ -60,4 +60,4 @@ def test_a_main_exploiter_meets_the_newest_or_the_past_of_who_is_too_strong_for_
     x = np.array([0.5, 0.9, 0.1])
     assert found.past[[0, 2, 4]] == pytest.approx(0.5 * x * (1 - x) / (x * (1 - x)).sum())
     assert found.past[[1, 3]].tolist() == [0, 0.5]
-    assert found.why == "a its past, for it is beaten in 10 %; b as it was frozen last"
+    assert found.why == "a its past, because it is beaten in 10 %; b as it was frozen last"

@@ -14,7 +14,6 @@ PAGES = sorted(
     file for file in site_hooks.reachable() if file == site_hooks.HOME or re.match(r"docs/[\w-]+\.md$", file)
 )
 BLOCK = re.compile(r"^```(?:bash|console)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
-USAGE = re.compile(r"^usage: league (\S+)(.*?)^```", re.MULTILINE | re.DOTALL)
 OPTION = re.compile(r"--[\w.-]+")
 EVERYWHERE = {"--store", "--league", "--blobs", "--help", "--debug"}
 OPEN = ("--arena.", "--learner.settings.")  # their keys depend on the arena, and on a class of one's own
@@ -31,7 +30,7 @@ def known() -> dict[str, set[str]]:
     """Return the options that each command takes, settings included."""
     options = {
         name: EVERYWHERE | {normal(option) for option in OPTION.findall(text)}
-        for name, text in USAGE.findall(reference_pages.commands())
+        for name, text in reference_pages.help_pages().items()
     }
     config = experiment.default()
     options["run"] |= {normal("--" + ".".join(key)) for key in flags.every(type(config), config)}

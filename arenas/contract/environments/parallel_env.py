@@ -157,5 +157,5 @@ def _action(name: str, given: Any, shape: tuple[int, ...]) -> Floats:
 
 
 def _on_host(state: State) -> State:
-    """Return what is told of a state, in host memory."""
+    """Return the reported arrays of a state, in host memory."""
     return jax.device_get(state._replace(physics=(), game=(), actions={}))

@@ -25,7 +25,7 @@ CONTROL = 0.02  # s, a control step
 TIMESTEP = CONTROL / 3
 """Physics timestep in seconds for matches with ANYmals; HARL-A has 0.005. A GPU then makes a quarter more control
 steps, and each of them ends 0.4 mm and 0.04 rad of a joint from a solution with 0.001 s, instead of 0.3 and 0.025
-(docs/speed.md)."""
+(experiments/notes/speed.md)."""
 NEAREST, FARTHEST = 0.35, 0.75  # start range of robots on a diameter, as shares of the ring's radius
 WOBBLE = 0.25  # rad, maximum offset of a team from the diameter
 PITCH = 0.5  # m between the points of the lattice
@@ -39,7 +39,7 @@ ITERATIONS = 14
 
 One control step ends 0.7 mm from a converged solution (99.99th percentile of 32,768 of trained play of two ANYmals
 against two rovers; 3.7 mm at most, as with 20; of scripts within a team 1.2 mm). The timestep causes an error of 5 mm
-in one of a thousand steps (docs/speed.md).
+in one of a thousand steps (experiments/notes/speed.md).
 """
 
 

@@ -19,9 +19,9 @@ class LogOptions(Listing):
     """The league, the number of rows, and the format of the output."""
 
     last: int | None = field(default=None, metadata={"low": 1})
-    """So many of the newest rows (none: 30 in a table, all of them as json and csv)."""
+    """Number of the newest rows (none: 30 in a table, all of them as json and csv)."""
     all: bool = False
-    """Everything, in a table too."""
+    """All rows, in a table too."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class CurveOptions(LogOptions):
     """The players whose learning curves are printed, the number of rows, and the format of the output."""
 
     player: str | None = None
-    """One player's (none: everyone's)."""
+    """Only this player's points (none: all players')."""
 
 
 def matches(args: list[str]) -> int:

@@ -28,7 +28,7 @@ class GateOptions(HypothesesOptions, Where):
     a: str = positional()
     """The snapshot that is said to be better, such as blue@64, or a player, whose newest it is."""
     b: str = positional()
-    """The one that it is compared with."""
+    """The snapshot or player that A is compared with."""
     most: int = field(default=10_000, metadata={"low": 2})
     """Episodes after which it is left undecided."""
     batch: int = field(default=128, metadata={"low": 2, "high": 2**20, "valid": _even})

@@ -74,7 +74,7 @@ def _refuse_set_aside(store: Store, config: Config) -> None:
             if why.startswith(SHORT):
                 raise ManagerError(why)
             raise ManagerError(
-                f"a turn of training was set aside, and who was to learn in it learnt no further: {why}"
+                f"a turn of training was set aside, so its players learnt no further: {why}"
                 " (`league status` tells more; the same command tries it again)"
             )
 
@@ -97,7 +97,7 @@ def _run_league(
     if state == "stopped":
         at = curriculum.stage_state(store, config).newest
         where = f" at iteration {at.iteration}, {at.step:,} steps" if at else ""
-        print(f"\nStopped{where}. Nothing is lost: the same command goes on.\n\n{NEXT}")
+        print(f"\nStopped{where}. Nothing is lost: the same command continues.\n\n{NEXT}")
     return state
 
 
@@ -199,7 +199,7 @@ def _greeting(config: Config, prepared: Prepared, where: str) -> str:
         sized += f", rating batches of {batch}"
     return (
         f"League {config.league}: {' against '.join(prepared.sides)} in {prepared.arena}, engine {prepared.engine},"
-        f" {sized}; stored in {where}. Ctrl-C stops it, the same command goes on."
+        f" {sized}; stored in {where}. Ctrl-C stops it, the same command continues."
     )
 
 

@@ -6,8 +6,7 @@ from typing import Literal, get_args
 
 from league.commands.options import Where, parse
 from league.config.run_spec import RunSpec
-from league.runtime.worker import WorkerSpec
-from league.runtime.worker_process import work
+from league.runtime.worker_process import WorkerSpec, work
 from league.state.liveness import leader
 from league.system import devices
 from storage.database.lock_wait import RetryReporter

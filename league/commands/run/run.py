@@ -24,7 +24,7 @@ from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.scheduling import curriculum
 from league.scheduling.match_scheduler import rating_goes_on
-from league.scheduling.turn_scheduler import trained_enough
+from league.scheduling.training_progress import trained_enough
 from league.state.league_state import LeagueState
 from league.state.learner_changes import learner_changes
 from league.state.liveness import leader, place
@@ -33,7 +33,7 @@ from storage.database.urls import without_passwords
 from storage.errors import NotAStore
 from storage.store import Store
 
-WHAT = "Run a league: train, play rating matches, go on where it stopped."
+WHAT = "Run a league: train, play rating matches, continue where it stopped."
 
 
 def run(args: list[str]) -> int:

@@ -30,14 +30,14 @@ class ThinOptions:
     recordings: int | None = field(default=None, metadata={"low": 0})
     """Newest recordings to keep of each league (none: all); the matches stay in the log."""
     recordings_for: str | None = field(default=None, metadata={"valid": check_duration})
-    """Recordings that are older go, e.g. 30d (none: none for their age)."""
+    """Remove recordings that are older, e.g. 30d (none: keep them at any age)."""
     snapshots: int | None = field(default=None, metadata={"low": 1})
     """Snapshots to keep of each player in every doubling of its iterations (none: all), besides those that are needed;
     the others keep their matches and ratings, and never play again."""
     age: str = field(default="1d", metadata={"valid": check_duration})
-    """Nothing younger goes, whatever it is."""
+    """Nothing younger is removed."""
     dry_run: bool = False
-    """Only say what would go."""
+    """Only list what would be removed."""
     alone: bool = False
     """No other store keeps its blobs in the same folder; to be said where the folder may be shared."""
     store: str = STORE

@@ -27,7 +27,7 @@ class VerifyOptions:
     blobs: str | None = None
     """Place of the store's policies and recordings (none: ROBOT_LEAGUE_BLOBS if set, else beside a SQLite store)."""
     age: str = field(default="1h", metadata={"valid": check_duration})
-    """Blobs that no row names are told when they are older; a worker may be about to name a young one."""
+    """Age above which blobs that no row names are reported; a worker may be about to name a younger one."""
     format: Literal["table", "json"] = "table"
     """table for people, json for programs."""
 
@@ -61,7 +61,7 @@ def _table(report: VerificationReport) -> str:
         what = f"{report.dropped:,} blobs ({report.dropped_bytes:,} bytes)"
         parts.append(f"{what} of what is no longer kept, such as old checkpoints, can go: `league thin` removes them.")
     if not report.references_known:
-        parts.append("Not all rows could be read, so nobody knows which blobs are orphaned.")
+        parts.append("Not all rows could be read, so it is unknown which blobs are orphaned.")
     if not report.findings:
         return "\n".join([*parts, "Nothing is missing, orphaned or corrupt."])
     rows = [row for kind in ORDER for row in _rows([f for f in report.findings if f.kind == kind])]

@@ -1,4 +1,4 @@
-"""`league dash`: a league as a page in a browser of this machine, which is updated as the league goes on."""
+"""`league dash`: a league as a page in a browser of this machine, which is updated while the league runs."""
 
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace

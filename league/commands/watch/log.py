@@ -27,7 +27,7 @@ class LogOptions(Where):
     wandb: Path | None = None
     """The same for Weights & Biases. It stays on this machine, for `wandb sync` to send, unless WANDB_MODE=online."""
     follow: bool = False
-    """Go on with what the league learns, until Ctrl-C."""
+    """Add new points while the league learns, until Ctrl-C."""
 
 
 class Writer(Protocol):

@@ -18,6 +18,7 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "openai-five": quick_starts.openai_five,
     "delta-uniform": quick_starts.delta_uniform,
     "harl_a": harl_a.harl_a,
+    "walk": harl_a.walk,
     "sumo-by-team": harl_a.by_team,
     "sumo-within-team": harl_a.within_team,
     "hopper-alone": related_work.hopper_alone,
@@ -33,6 +34,7 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "you-shall-not-pass": related_work.you_shall_not_pass,
     "kick-and-defend": related_work.kick_and_defend,
     "gate-race": related_work.gate_race,
+    "gate-race-sparse": related_work.gate_race_sparse,
 }
 
 

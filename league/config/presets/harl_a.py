@@ -45,6 +45,14 @@ def harl_a() -> Config:
     return replace(config, league="harl_a", learner=learner, training=training, budget=budget)
 
 
+def walk() -> Config:
+    """Any robot with feet learns to walk to a point, as in HARL-A's first stage; `--arena.blue` names it. For a GPU."""
+    config = _ladder("walk")
+    learner = replace(config.learner, desired_kl=0.01)  # humanoids learn from smaller updates than the ANYmal
+    budget = Budget(steps=1_000_000_000, success=0.9, rating_time="1m")
+    return replace(config, learner=learner, budget=budget, stages=())
+
+
 def by_team() -> Config:
     """HARL-A's sumo of unlike teams, from the first step to the matches: two ANYmals against two Leatherbacks."""
     return _ladder("sumo-by-team", *SUMO)

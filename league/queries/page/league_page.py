@@ -264,6 +264,6 @@ def _lineage(shown: Shown) -> Iterator[FigureBlock | TableBlock | str]:
         yield "There is no snapshot yet."
         return
     children = sum(row["parent"] is not None for row in rows)
-    caption = f"{len(rows):,} snapshots by their training steps, {children:,} of which go on from another one."
+    caption = f"{len(rows):,} snapshots by their training steps, {children:,} of which continue from another one."
     yield FigureBlock(figures.lineage(rows), caption)
     yield _table(rows, LINEAGE, "Snapshots")

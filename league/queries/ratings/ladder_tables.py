@@ -22,7 +22,7 @@ from storage.records import ArenaKey, Snapshot
 
 RANKED = (
     "Ranks go by the lower end of the interval (elo less ±), so few games do not put anybody ahead. met: how many"
-    f" others it has met; *: provisional, fewer than {FEW}. ± knows chance alone, not that one opponent may suit a"
+    f" others it has met; *: provisional, fewer than {FEW}. ± covers chance alone, not that one opponent may suit a"
     " policy better than another of equal strength."
 )
 RANKED_ALONE = "Ranks go by the lower end of the interval, so few games do not put anybody ahead."

@@ -9,7 +9,7 @@ from league.config import experiment
 from league.config.experiment import Config
 from league.scheduling import curriculum
 from league.scheduling.match_scheduler import rating_goes_on
-from league.scheduling.turn_scheduler import trained_enough
+from league.scheduling.training_progress import trained_enough
 from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState
 from league.state.liveness import leader

@@ -1,7 +1,7 @@
-"""A search over a sweep's ranges by Optuna, which asks for a point and is told the objective of its runs.
+"""A search over a sweep's ranges by Optuna, which proposes a point and gets the objective of its runs.
 
 Optuna keeps nothing: the trials of an earlier call are read from the leagues of the store, so a search that was killed
-goes on.
+continues.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The runs of a sweep, worked off: some at a time, finished ones skipped, and a failure of one stops no other.
 
-All state is in the store: a run is finished if its league has had its budget. A sweep that was killed goes on where it
-stopped, and several hosts with one store share a sweep, since a league that runs already is left to whoever runs it.
+All state is in the store: a run is finished if its league has had its budget. A sweep that was killed continues
+where it stopped, and several hosts with one store share a sweep, since a league that runs already is left alone.
 """
 
 import time
@@ -58,7 +58,7 @@ class SweepWork:
     def stop(self) -> None:
         """Ask the runs under way to stop, and wait for them; a second Ctrl-C stops them at once."""
         if self._running:
-            self._report(f"stopping {len(self._running)} under way; nothing is lost, the same command goes on")
+            self._report(f"stopping {len(self._running)} under way; nothing is lost, the same command continues")
         while self._running:
             for _, child, _ in self._running.values():
                 child.interrupt()
@@ -108,7 +108,7 @@ class SweepWork:
                 self.outcome.finished.append(run.name)
                 self._report(f"{run.name} has finished after {time.monotonic() - began:.0f} s")
             else:  # `league stop`
-                self._failed(run, "it was stopped before its end; the same command goes on")
+                self._failed(run, "it was stopped before its end; the same command continues")
         if self._running and time.monotonic() - self._told > BEAT:
             self._told = time.monotonic()
             self._report("; ".join(map(self._steps, [run for run, _, _ in self._running.values()])))

@@ -58,5 +58,5 @@ def describe(program: Program) -> str:
     agents = f"its {len(program.agents)} agents" if len(program.agents) > 1 else "one agent"
     return (
         f"It is {WORDS[program.kind]}, called on the CPU for {how}: a decision of {agents} in {stored.TIMED} worlds"
-        f" takes {per:.2g} ms, and its matches are slower by that."
+        f" takes {per:.2g} ms, which makes its matches slower."
     )

@@ -104,7 +104,7 @@ def host_policies(data: bytes, name: str, report: Callable[[str], None] | None =
 
 
 def reporter(name: str, agent: int, report: Callable[[str], None] | None = None) -> Callable[[str], None]:
-    """Return the function that is told of an agent's first fault, and tells `report`, by default stderr, in a line."""
+    """Return a function that reports an agent's first fault, to `report`, by default stderr, in a line."""
     tell = report or (lambda line: print(f"league: {line}", file=sys.stderr))
     return lambda what: tell(f"{name}, agent {agent} {what}; it forfeits such episodes, which are void by its fault")
 

@@ -294,7 +294,8 @@ class Favoured(Race):
 SHORT = RaceSettings(rules=RaceRules(episode=1.0, take_off=0.2, walls=True))
 
 
-@pytest.mark.parametrize("teams", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("teams", [1, 2, 3])
 def test_it_keeps_the_contract_and_its_teams_can_change_places(teams):
     settings = replace(SHORT, teams=teams)
     arena = settings.build(engine="c", worlds=WORLDS)

@@ -150,6 +150,7 @@ def test_numbers_that_cannot_be_are_refused(given, message):
         replace(SwarmSettings(), **given)
 
 
+@pytest.mark.slow
 def test_it_keeps_the_contract():
     short = replace(SMALL, room_rovers=2, rules=SwarmRules(episode=1.0))
     assert [check for check in check_arena(short.build(engine="c", worlds=WORLDS), short) if not check.ok] == []

@@ -50,6 +50,7 @@ def test_a_pushed_body_moves_as_by_mujocos_own_field(reference):
         np.testing.assert_allclose(reference.qacc[world], data.qacc, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_mjx_moves_a_pushed_body_as_c_does(reference):
     np.testing.assert_allclose(pushed(engine("jax", ())).qpos, reference.qpos, atol=1e-5)
 

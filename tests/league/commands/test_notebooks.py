@@ -38,6 +38,7 @@ def test_outputs_are_stripped(path: Path):
         assert cell.get("execution_count") is None
 
 
+@pytest.mark.slow
 def test_the_notebook_of_run_and_then_that_of_open(folder, monkeypatch, capsys):
     import matplotlib
 

@@ -60,7 +60,7 @@ def test_a_worker_whose_manager_dies_while_it_still_imports_does_not_live_on(tmp
         config = store.league("tiny").config
     script = (
         "import sys, os\n"
-        "from league.config.run_spec import RunSpec\nfrom league.runtime.worker import WorkerSpec\n"
+        "from league.config.run_spec import RunSpec\nfrom league.runtime.worker_process import WorkerSpec\n"
         "from league.runtime.worker_process import work\n"
         f"spec = RunSpec({str(tmp_path / 'league-data')!r}, None, sys.stdin.read())\n"
         "work(WorkerSpec(spec, ('train',), 0, 999999999))\n"

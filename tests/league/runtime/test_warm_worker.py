@@ -20,7 +20,7 @@ from league.runtime.bootstrap import create
 from league.runtime.manager import Manager
 from league.runtime.preflight import PrepareError, preparation
 from league.runtime.warm_worker import WarmWorker
-from league.runtime.worker import WorkerSpec
+from league.runtime.worker_process import WorkerSpec
 from league.state.jobs import TrainingTurn
 from league.system.arena_build import Built, build
 from storage.store import Store

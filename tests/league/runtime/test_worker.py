@@ -8,7 +8,8 @@ import pytest
 
 from league.config import experiment as configuration
 from league.config.run_spec import RunSpec
-from league.runtime.worker import Worker, WorkerSpec
+from league.runtime.worker import Worker
+from league.runtime.worker_process import WorkerSpec
 from league.scheduling import turn_scheduler
 from league.state.league_state import LeagueState
 from storage.records import League, Player

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from league.config.run_spec import RunSpec
-from league.runtime.worker import Worker, WorkerSpec
+from league.runtime.worker import Worker
+from league.runtime.worker_process import WorkerSpec
 from storage.errors import Unavailable, WrongBlobStore
 from storage.records import Job, League
 from storage.store import Store

@@ -5,8 +5,9 @@ from itertools import groupby, pairwise
 import pytest
 
 from league.commands.run.status import report
+from league.queries.league_status import describe_rating_share
 from league.queries.query import Open
-from league.scheduling.rating_budget import CREDIT, describe_share, next_slot
+from league.scheduling.rating_budget import CREDIT, next_slot
 from league.state.league_state import Batches, LeagueState
 from matchmaking.schedule import Schedule
 from storage.store import Store
@@ -44,7 +45,7 @@ def test_a_league_plays_no_more_while_it_trains_than_it_may_and_then_all_it_can(
     assert len(after) > 2
     assert min(m.id for m in after) > max(m.id for m in booked)
     told = call("status", cwd=tmp_path).stdout
-    assert f"Rating: {describe_share(SHARE, trained, rated)}" in told
+    assert f"Rating: {describe_rating_share(SHARE, trained, rated)}" in told
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_what_was_queued_together_last_is_read_off_the_log_at_once_or_piece_by_p
     ],
 )
 def test_the_share_in_words(figures, told):
-    assert describe_share(*figures) == told
+    assert describe_rating_share(*figures) == told
 
 
 def test_games_per_second_are_those_of_the_batches_whose_seconds_are_known(tmp_path):

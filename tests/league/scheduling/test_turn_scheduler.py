@@ -6,6 +6,7 @@ import pytest
 
 from league.config import experiment as configuration
 from league.scheduling import turn_scheduler
+from league.scheduling.training_progress import trained_enough
 from league.state.jobs import RatingMatch, decode
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
@@ -95,9 +96,9 @@ def test_a_turn_set_aside_stops_its_own_group_and_no_other():
     first, second = turn_scheduler.next_turns(config, state).jobs
     state = replace(state, jobs=(replace(first, state="failed"),))
     assert [turn.group for turn in turns(config, state)] == ["2"]
-    assert not turn_scheduler.trained_enough(config, state)
+    assert not trained_enough(config, state)
     both = replace(state, jobs=tuple(replace(job, state="failed") for job in (first, second)))
-    assert turn_scheduler.trained_enough(config, both)
+    assert trained_enough(config, both)
 
 
 def test_a_turn_that_was_gone_back_from_is_another_job_with_other_dice():
@@ -116,7 +117,7 @@ def test_a_paused_player_sits_on_and_learns_no_more():
     assert turn.learners == ("red",)
     assert turn.present == ("blue", "red")
     none = tuple(replace(p, paused="it diverged twice") for p in PLAYERS)
-    assert turn_scheduler.trained_enough(training(), league_state(players=none, checkpoints=checkpoints(4)))
+    assert trained_enough(training(), league_state(players=none, checkpoints=checkpoints(4)))
 
 
 def test_a_budget_in_steps_is_met_within_one_iteration():

@@ -15,7 +15,8 @@ from agents.rollout.rollout import make_play, scripts_for
 from league.config import experiment as configuration
 from league.config.run_spec import RunSpec
 from league.matches.time_slices import TimeSlices
-from league.runtime.worker import Worker, WorkerSpec
+from league.runtime.worker import Worker
+from league.runtime.worker_process import WorkerSpec
 from league.snapshots.codec import seat
 from league.system import gpu_sharing
 from league.system.gpu_sharing import SPARE, GpuLock, Pace

@@ -17,7 +17,8 @@ import pytest
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from league.config import experiment as configuration
 from league.config.run_spec import RunSpec
-from league.runtime.worker import Worker, WorkerSpec
+from league.runtime.worker import Worker
+from league.runtime.worker_process import WorkerSpec
 from league.scheduling import turn_scheduler
 from league.state.jobs import decode
 from league.state.league_state import LeagueState

@@ -86,7 +86,7 @@ def test_a_recording_that_fails_is_told_once_and_players_learn_on(duel_store, du
     turns(duel_store, settings(record_every=1), duel, 3)
     assert duel_store.checkpoint(LEAGUE, "blue").iteration == 2
     assert duel_store.matches(LEAGUE) == []
-    assert capsys.readouterr().err == "league: this process records no more of training, which goes on: no space left\n"
+    assert capsys.readouterr().err == "league: this process stops recording training, which continues: no space left\n"
 
 
 def test_a_milestone_of_training_time_ends_the_turn_with_snapshots(duel_store, duel):

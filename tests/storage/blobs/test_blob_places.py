@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from storage.blobs.blobs import Blobs, FolderBlobs, open_blobs
+from storage.blobs.blobs import Blobs, open_blobs
+from storage.blobs.folder import FolderBlobs
 from storage.blobs.s3 import BucketBlobs
 from storage.errors import DamagedBlob, StorageError, Unavailable
 from storage.maintenance.thinning import RetentionPolicy

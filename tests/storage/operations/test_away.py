@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from storage.database import lock_wait, opening
+from storage.database import engines, lock_wait
 from storage.errors import StorageError, Unavailable
 from storage.records import Job, League, Phase
 from storage.store import Store
@@ -165,7 +165,7 @@ def test_what_no_waiting_mends_is_not_called_away(server_url: str, tmp_path: Pat
 def test_a_server_row_kept_locked_for_too_long_is_waited_for(
     server_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(opening, "_SESSION", "-c lock_timeout=100ms")
+    monkeypatch.setattr(engines, "_SESSION", "-c lock_timeout=100ms")
     with Store.open(server_url, create=True, blobs=str(tmp_path)) as store:
         fill(store)
         with (
@@ -177,7 +177,7 @@ def test_a_server_row_kept_locked_for_too_long_is_waited_for(
 
 
 def test_a_file_kept_locked_for_too_long_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(opening, "BUSY_SECONDS", 0.1)
+    monkeypatch.setattr(engines, "BUSY_SECONDS", 0.1)
     with Store.open(tmp_path, create=True) as store:
         store.create_league(League("cup", ""))
         other = sqlite3.connect(tmp_path / "league.db", isolation_level=None)

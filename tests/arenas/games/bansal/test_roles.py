@@ -31,6 +31,7 @@ def test_drawn_roles_make_teams_of_one_roster_and_fixed_ones_a_ladder_each():
     assert not np.asarray(jax.vmap(fixed.place)(key)[2].second_first).any()
 
 
+@pytest.mark.slow
 def test_fixed_roles_keep_the_contract():
     arena = FIXED.build(engine="c", worlds=WORLDS)
     assert [result for result in check_arena(arena, FIXED) if not result.ok] == []

@@ -81,7 +81,7 @@ def test_it_tells_which_score_ends_a_turn_and_how_far_that_is(opened):
     finish(opened.store, curves=points)
     assert f"{asked} it scores 62.5 % (55.6-68.9) of 200" in words(opened)  # since iteration 1
     finish(opened.store, curves=[CurvePoint("cup", "red", 4, 1, 1.0, {"episodes": 500.0, "score": 0.9})])
-    assert "its turn is over, for it surely scores above 70 %: it scores 90.0 % (87.1-92.3) of 500" in words(opened)
+    assert "its turn is over, because it surely scores above 70 %: it scores 90.0 % (87.1-92.3) of 500" in words(opened)
 
 
 def test_it_tells_what_rating_takes_of_training(opened):
