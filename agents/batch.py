@@ -69,6 +69,7 @@ class ActorBatch(NamedTuple):
     log_probs: Tensor  # (B,) under the policy that acted
     MA: Tensor  # (B,) M·Â
     valid: Tensor  # (B,) bool: the agent took part and the result is known
+    magnet: Sequence[Tensor] = ()  # if it has one: mean and standard deviation (B, act) of its magnet's Gaussian
 
 
 class CriticBatch(NamedTuple):

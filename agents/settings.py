@@ -153,6 +153,12 @@ class HappoConfig:
     """PPO's clip range ε, for ratios and for values."""
     entropy_coef: float = field(default=0.005, metadata={"low": 0.0, "formerly": "entropy"})
     """Weight of the entropy bonus (HATRPO has none)."""
+    magnet_coef: float = field(default=0.0, metadata={"low": 0.0})
+    """Weight of the KL divergence of the policy from its magnet, an earlier policy of the player: magnetic mirror
+    descent (0: no magnet)."""
+    magnet_updates: int = field(default=0, metadata={"low": 0})
+    """Updates after which the present policy becomes the magnet (0: never, it stays the policy that the player began
+    with)."""
     target_kl: float | None = field(default=None, metadata={"above": 0.0, "formerly": "kl_stop"})
     """Early stopping: end an actor's passes over a batch after one in which its mean KL divergence exceeds this (none:
     never)."""
@@ -210,6 +216,13 @@ class HappoConfig:
             raise ValueError("architecture.recurrent: a strategy over skills remembers nothing but its command; use 0")
         if self.architecture.recurrent and self.critic_input == "same":
             raise ValueError("critic_input: one critic for all teams remembers nothing; use own, all or privileged")
+        if self.magnet_updates and not self.magnet_coef:
+            raise ValueError("magnet_updates: does nothing without a magnet; give magnet_coef, e.g. 0.05")
+        if self.magnet_coef and (self.architecture.recurrent or self.method == "hatrpo"):
+            who = "a recurrent network" if self.architecture.recurrent else "hatrpo"
+            raise ValueError(
+                f"magnet_coef: {who} has no magnet; use 0, or another method without learner.architecture.recurrent"
+            )
         if self.method == "hatrpo":
             for name in ("target_kl", "desired_kl"):
                 if getattr(self, name) is not None:

@@ -37,6 +37,7 @@ MODULES = (
     "arenas.games.tag",
     "arenas.games.race",
     "arenas.games.matrix",
+    "arenas.games.matrix.turns",
 )
 
 

@@ -76,6 +76,9 @@ SHOTS = {
     "kick-and-defend": Shot(("idle", "idle"), 0, 0.5),
     "rock-paper-scissors": Shot(("rock", "paper"), 0, 1.0),
     "matching-pennies": Shot(("heads", "tails"), 0, 1.0),
+    "kuhn-poker": Shot(("bet", "bet"), 0, 2.0),
+    "leduc-poker": Shot(("raise", "call"), 0, 3.0),
+    "dark-hex-3": Shot(("random", "random"), 0, 5.0),
 }
 
 

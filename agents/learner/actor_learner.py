@@ -1,5 +1,11 @@
-"""Learning of an actor: PPO's clipped surrogate on M·Â (Schulman et al., 2017), and limits of its steps."""
+"""Learning of an actor: PPO's clipped surrogate on M·Â (Schulman et al., 2017), and limits of its steps.
 
+With a magnet ρ the loss has α·KL(π‖ρ) besides: magnetic mirror descent (Sokota et al., 2023, "A unified approach to
+reinforcement learning, quantal response equilibria, and two-player zero-sum games"), whose other divergence, from the
+policy before the update, is bounded by PPO's clipping.
+"""
+
+import copy
 from collections.abc import Sequence
 
 import torch
@@ -12,7 +18,7 @@ from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.learner.metric_means import MetricSums
 from agents.learner.minibatches import mean_weights, minibatches
 from agents.learner.optimizer import Adam, autocast_networks, maybe_compiled, step
-from agents.policy.networks import Actor
+from agents.policy.networks import Actor, Gaussian, SquashedGaussian
 from agents.settings import HappoConfig
 
 MIN_LR, MAX_LR, LR_FACTOR = 1e-5, 1e-2, 1.5  # of the adaptive learning rate, as in rsl_rl
@@ -28,6 +34,8 @@ class ActorLearner:
         self.lr = torch.tensor(config.lr, dtype=torch.float64, device=device)  # state under `desired_kl`
         self.optimizer = Adam(network, torch.tensor(config.lr, device=device))
         self.metric_sums = MetricSums(METRICS, device)
+        self.magnet = copy.deepcopy(network).requires_grad_(False) if config.magnet_coef else None
+        self.magnet_age = torch.zeros((), dtype=torch.int64)  # updates since the policy became the magnet
         self.surrogate_loss = maybe_compiled(surrogate_loss, config.compiled)
         self.loss = maybe_compiled(self._loss, config.compiled and comm.size == 1)  # no messages inside kernels
         self.step = maybe_compiled(self._step, config.compiled)
@@ -43,8 +51,24 @@ class ActorLearner:
             obs = self.network.trunk.normalised(rows(batch.observations[i], chunk))
             if chunk is not None:
                 obs = Sequences(obs, rows(batch.first[0], chunk), batch.memories[i][..., :units].flatten(0, 1))
-            found.append(ActorBatch(obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive))
+            magnet = () if self.magnet is None else self._of_magnet(rows(batch.observations[i], chunk))
+            found.append(ActorBatch(obs, actions, old, (M * A_hat[i]).masked_fill(~alive, 0.0), alive, magnet))
         return pytree.tree_map(lambda *each: torch.cat(each), *found)
+
+    def _of_magnet(self, observations: Tensor) -> Sequence[Tensor]:
+        """Return mean and standard deviation (B, act) of the magnet, which normalises by its own statistics."""
+        assert self.magnet is not None
+        gaussian = self.magnet.gaussian(observations)
+        return [gaussian.mean, gaussian.stddev]
+
+    @torch.no_grad()
+    def move_magnet(self) -> None:
+        """Count an update, and let the policy become the magnet where that is due."""
+        self.magnet_age += 1
+        if self.magnet is not None and self.magnet_age == self.config.magnet_updates:
+            for mine, yours in zip(self.magnet.state_dict().values(), self.network.state_dict().values(), strict=True):
+                mine.copy_(yours)
+            self.magnet_age.zero_()
 
     def seen(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """Return the agents' observations (B, obs) in a clean batch, agent after agent, and (B,) bool: it took part."""
@@ -77,6 +101,7 @@ class ActorLearner:
             moved = run(self.learn, actor_batch, order)
             if c.target_kl is not None and moved.item() > c.target_kl:
                 break
+        self.move_magnet()
 
     def learn(self, actor_batch: ActorBatch, order: Tensor) -> Tensor:
         """Make one pass over the rows in this order; return the mean KL divergence () of its minibatches."""
@@ -128,6 +153,15 @@ def surrogate_loss(
     surrogate = actor_batch.MA + (rise * actor_batch.MA).clamp(max=c.clip * actor_batch.MA.abs())
     entropy = (policy.entropy().sum(-1) * weights).sum()
     loss = -(surrogate * weights).sum() - c.entropy_coef * entropy
+    if actor_batch.magnet:
+        loss = loss + c.magnet_coef * (_divergence(policy, *actor_batch.magnet) * weights).sum()
     entropy, rise, log_ratio = entropy.detach(), rise.detach(), log_ratio.detach()
     kl = ((rise - log_ratio) * weights).sum()  # never negative, and of low variance (Schulman, 2020)
     return loss, {"entropy": entropy, "rise": (rise * weights).sum(), "kl": kl}
+
+
+def _divergence(policy: Gaussian | SquashedGaussian, mean: Tensor, std: Tensor) -> Tensor:
+    """Return KL(π‖ρ) (...) from a magnet's Gaussian (..., act). Squashing both alike does not change it."""
+    gaussian = policy.gaussian if isinstance(policy, SquashedGaussian) else policy
+    ratio = gaussian.stddev / std
+    return (0.5 * (ratio.square() + ((gaussian.mean - mean) / std).square() - 1) - ratio.log()).sum(-1)

@@ -102,7 +102,7 @@ def with_constant_inputs_silenced(state: State) -> dict[str, np.ndarray]:
     """
     state = upgrade_state(state)
     new = dict(state)
-    for name in (name for name in state if name.endswith(".trunk.observation_var")):
+    for name in (k for k in state if k.endswith(".trunk.observation_var") and k.startswith(NETWORKS)):
         network = name.removesuffix("trunk.observation_var")
         constant, new = is_constant(state, network), silence_constant_inputs(new, network)
         if not has_input_norm(state, network):
@@ -110,6 +110,20 @@ def with_constant_inputs_silenced(state: State) -> dict[str, np.ndarray]:
                 constant, np.zeros_like(state[f"{network}observed"]), state[f"{network}observed"]
             )
     return new
+
+
+def with_magnets(state: State) -> dict[str, np.ndarray]:
+    """Return the state with each policy as its own magnet, unless it has magnets."""
+    if any(name.startswith("magnet.") for name in state):
+        return dict(state)
+    actors = {k: v for k, v in state.items() if k.startswith("actor.") and not k.endswith(".observed")}
+    ages = {f"magnet.actor.{name.split('.')[1]}.age": np.zeros((), np.int64) for name in actors}
+    return {**state, **{f"magnet.{name}": value for name, value in actors.items()}, **ages}
+
+
+def without_magnets(state: State) -> dict[str, np.ndarray]:
+    """Return the state without magnets."""
+    return {name: value for name, value in state.items() if not name.startswith("magnet.")}
 
 
 def upgrade_state(state: State) -> dict[str, np.ndarray]:

@@ -132,10 +132,10 @@ class LearnerState:
     def load(self, state: State) -> None:
         """Restore a `save()`.
 
-        Raises ValueError naming arrays that are missing, of another shape, activation or kind of policy, or not finite;
-        then nothing has changed.
+        Policies of a state without magnets become their own. Raises ValueError naming arrays that are missing, of
+        another shape, activation or kind of policy, or not finite; then nothing has changed.
         """
-        tensors, state = self._tensors(), checkpoint.upgrade_state(state)
+        tensors, state = self._tensors(), checkpoint.with_magnets(checkpoint.upgrade_state(state))
         fixed = [k for k in tensors if k.endswith((".activation", ".squash", ".index", ".own")) or k == "sharing"]
         checkpoint.read(tensors, fixed, self.rng, state)
 
@@ -144,13 +144,13 @@ class LearnerState:
     ) -> None:
         """Take over weights of other learners: for each agent a `save()` and the number of an agent in it, or None.
 
-        An actor brings its standard deviation and observation statistics; critics bring theirs and their value
-        normalisers. None leaves an actor or the critics unchanged, and optimizers, step counts and random numbers stay
-        too. Agents that share an actor take over the one given for the first of them. If the states are
-        `from_other_arena`, inputs that were constant there have no effect here at first. Raises ValueError as `load`
-        does.
+        An actor brings its standard deviation and observation statistics, and becomes its own magnet; critics bring
+        theirs and their value normalisers. None leaves an actor or the critics unchanged, and optimizers, step counts
+        and random numbers stay too. Agents that share an actor take over the one given for the first of them. If the
+        states are `from_other_arena`, inputs that were constant there have no effect here at first. Raises ValueError
+        as `load` does.
         """
-        state = self.save()
+        state = checkpoint.without_magnets(self.save())
         given = checkpoint.with_constant_inputs_silenced if from_other_arena else checkpoint.upgrade_state
         for i, source in enumerate(actors):
             if source is not None and self.actor_owners[i] == i:
@@ -172,6 +172,9 @@ class LearnerState:
                 tensors |= {f"adam.{name}.{k}": v for k, v in learner.optimizer.tensors().items()}
             if isinstance(learner, ActorLearner) and self.config.desired_kl is not None:
                 tensors[f"adam.{name}.lr"] = learner.lr
+            if isinstance(learner, ActorLearner) and learner.magnet is not None:
+                tensors |= {f"magnet.{name}.{k}": v for k, v in learner.magnet.state_dict().items()}
+                tensors[f"magnet.{name}.age"] = learner.magnet_age
         if self.config.lr_decay_steps:
             tensors["steps"] = self.steps
         if self.config.share_actors:

@@ -177,15 +177,18 @@ def _unstable(run: CheckRun) -> str:
 
 @check("non-finite actions make a world void and identify the team")
 def _non_finite_actions(run: CheckRun) -> str:
-    teams, actions = run.arena.teams, run.actions(0)
-    actions |= {a.name: actions[a.name].at[0].set(jnp.nan) for a in teams[0].agents[:1]}
-    actions |= {a.name: actions[a.name].at[1].set(jnp.inf) for a in teams[-1].agents[:1]}
+    teams, actions, at_fault = run.arena.teams, run.actions(0), np.zeros((WORLDS, len(run.arena.teams)), bool)
+    names = [agent.name for agent in run.arena.agents]
+    for team, number in ((0, jnp.nan), (len(teams) - 1, jnp.inf)):
+        agent = teams[team].agents[0].name
+        free = np.asarray(run.first.alive[:, names.index(agent)]) & ~at_fault.any(axis=1)
+        world = int(free.argmax())  # the first in which it is the agent's turn
+        actions[agent] = actions[agent].at[world].set(number)
+        at_fault[world, team] = free[world]
     after = run.act(run.first, actions)
-    at_fault = np.zeros((WORLDS, len(teams)), bool)
-    at_fault[0, 0] = at_fault[1, -1] = True
     if not np.array_equal(after.at_fault, at_fault):
         return f"teams at fault are {np.argwhere(after.at_fault).tolist()}, not {np.argwhere(at_fault).tolist()}"
-    return _voided(run, after, np.arange(WORLDS) < 2, "a NaN in world 0 and an infinity in world 1 make these void")
+    return _voided(run, after, np.any(at_fault, 1), "a NaN in one world and an infinity in another make these void")
 
 
 def _voided(run: CheckRun, after: Any, broken: np.ndarray, what: str) -> str:

@@ -47,6 +47,10 @@ COMMANDS = {
         "league.commands.play.exploit",
         "train a fresh attacker against one frozen policy: how much does it take?",
     ),
+    "exploitability": (
+        "league.commands.play.known_games",
+        "exact exploitability of a policy in a small game: Kuhn and Leduc poker, dark hex",
+    ),
     "grid": (
         "league.commands.play.grid",
         "snapshots over a grid of masses and frictions: mean, worst tenth and worst cell",

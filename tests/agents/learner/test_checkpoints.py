@@ -19,6 +19,8 @@ VARIANTS = {
     "target_kl": {"target_kl": 0.02},
     "desired_kl": {"desired_kl": 0.01},
     "decay": {"lr_decay_steps": 200},
+    "magnet": {"magnet_coef": 0.1, "magnet_updates": 2},
+    "magnet, shared": {"magnet_coef": 0.1, "share_actors": True, "architecture": Architecture((5,), squash=1.0)},
     "shared": {"share_actors": True},
     "shared ippo": {"share_actors": True, "method": "ippo"},
     "shared hatrpo": {"share_actors": True, "method": "hatrpo"},

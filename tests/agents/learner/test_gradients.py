@@ -118,7 +118,7 @@ def test_rows_that_do_not_count_have_no_part_in_a_gradient(architecture, scrambl
     actor_batch = ActorBatch(
         *(torch.randn(shape, generator=rng) for shape in ((40, 6), (40, 2), 40, 40)), torch.arange(40) % 3 > 0
     )
-    kept = ActorBatch(*(x[actor_batch.valid] for x in actor_batch))
+    kept = ActorBatch(*(x[actor_batch.valid] for x in actor_batch[:5]))
     actor_batch.log_probs[~actor_batch.valid] = -300.0
     found = {}
     for rows in (actor_batch, kept):

@@ -14,10 +14,11 @@ from arenas.contract.buffer_meter import with_meters
 from arenas.contract.check import BUFFERS, check_arena
 from arenas.errors import EngineError
 from arenas.games.matrix.settings import ARENAS as MATRIX_GAMES
+from arenas.games.matrix.turns.settings import ARENAS as TURN_GAMES
 from arenas.physics.mjx import MjxEngine, overflow_causes
 from arenas.physics.void_causes import Cause, causes_in, describe_causes
 
-BODIED = sorted(set(arenas.names()) - {settings.name for settings in MATRIX_GAMES})
+BODIED = sorted(set(arenas.names()) - {settings.name for settings in (*MATRIX_GAMES, *TURN_GAMES)})
 ON_A_GPU = jax.default_backend() == "gpu"
 
 

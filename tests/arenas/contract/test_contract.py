@@ -31,9 +31,10 @@ def broken(settings, engine):
     return [check for check in check_arena(arena, settings) if not check.ok]
 
 
-QUICK = {"sumo-1v1", "pursuit", "tag", "rock-paper-scissors"}
+QUICK = {"sumo-1v1", "pursuit", "tag", "rock-paper-scissors", "kuhn-poker"}
 ONE_OF_EACH_GAME = {
     "sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "tag", "run-to-goal", "rock-paper-scissors",
+    "kuhn-poker",
 }  # fmt: skip
 
 
