@@ -19,6 +19,7 @@ from torch import Tensor
 
 from agents.batch import Batch, CriticView, zero_absent
 from agents.policy.jax_policy import Params
+from agents.rollout.command_clock import at_command_clock
 from agents.rollout.rollout import CriticObservations, Trajectory
 from agents.rollout.team_view import select_agents, select_worlds
 from arenas.state import TeamSpec
@@ -42,6 +43,8 @@ def team_batch(
     privileged: bool = False,
     common: Sequence[TeamSpec] = (),
     critic_memories: CriticMemories = (),
+    every: int = 1,
+    gamma: float = 1.0,
 ) -> Batch:
     """Return a team's part of a trajectory.
 
@@ -60,9 +63,13 @@ def team_batch(
         privileged: append the full state to its observations for the critic; the trajectory must hold it.
         common: all teams, for a critic that judges all of them (`common_critic_order`).
         critic_memories: hidden states (all worlds, units) of recurrent critics before the trajectory; empty if unknown.
+        every: decisions for which its policies hold a command (`at_command_clock`).
+        gamma: discount factor of rewards within a command, per decision.
     """
     names = {agent.name for t in (team, *others, *common) for agent in t.agents}
     trajectory = select_worlds(select_agents(trajectory, names, privileged), worlds)
+    if every > 1:
+        trajectory = at_command_clock(trajectory, every, gamma)
 
     rewards, terminated, void = map(to_torch, _rewards(select_agents(trajectory), index, shaping, void_penalty))
     critic_views = _common_views(trajectory, common, index, shaping, void_penalty)
@@ -72,7 +79,7 @@ def team_batch(
     return Batch(
         _of_agents(trajectory.observations, [team]),
         _of_agents(trajectory.next_observations, [team]),
-        _of_agents(trajectory.actions, [team]),
+        _choices(trajectory.actions, team),
         _of_agents(trajectory.log_probs, [team]),
         _of_agents(trajectory.alive, [team]),
         _of_agents(trajectory.next_alive, [team]),
@@ -93,6 +100,16 @@ def team_batch(
 def _of_agents(values: Mapping[str, Array], teams: Sequence[TeamSpec]) -> Sequence[Tensor]:
     """Return the values of all agents of these teams, in their order."""
     return [to_torch(values[agent.name]) for team in teams for agent in team.agents]
+
+
+def _choices(values: Mapping[str, Array], team: TeamSpec) -> Sequence[Tensor]:
+    """Return what a team's agents chose, without the zeros of agents that choose less than others in their stack."""
+    sizes = {agent.name: agent.action_size for agent in team.agents}
+    own = {
+        name: values[name] if values[name].shape[-1] == size else values[name][..., :size]
+        for name, size in sizes.items()
+    }
+    return _of_agents(own, [team])
 
 
 def _privileged_inputs(trajectory: Trajectory, team: TeamSpec) -> Sequence[Tensor]:

@@ -31,6 +31,13 @@ def check_class(value: str | None) -> None:
         raise ValueError(f"must be {HAPPO}, or a class in a file of yours: my/learner.py:Mine")
 
 
+def check_commands(values: tuple[str, ...]) -> None:
+    """Raise ValueError unless each text is the name of a part, or one with a number of numbers after a colon."""
+    for value in values:
+        if not re.fullmatch(r"[^:]+(:[1-9]\d{0,3})?", value):
+            raise ValueError(f'{value!r} is no part: give its name, or its name and a number of numbers, "slot A:2"')
+
+
 @dataclass(frozen=True)
 class Architecture:
     """Architecture of a network, the same for all actors and critics of a league."""
@@ -75,6 +82,43 @@ class TrustRegion:
     """Iterations of the conjugate gradient method that solves for the step's direction."""
     damping: float = field(default=0.1, metadata={"low": 0.0})
     """Value added to the diagonal of the KL divergence's Hessian."""
+
+
+@dataclass(frozen=True)
+class SkillSettings:
+    """Skill below, strategy above: frozen policies that act, and are commanded by what learns (docs/skills.md)."""
+
+    policies: tuple[str, ...] = field(default=(), metadata={"most": 8})
+    """Frozen policies: names of those that come with the league, or files that `league export` wrote. Each agent acts
+    through those of its kind of robot; without any the learner's own actions are the robot's."""
+    command: tuple[str, ...] = field(default=(), metadata={"most": 8, "valid": check_commands})
+    """Parts of the skills' observations that are commanded, one for each policy or one for all: a part's name, as
+    `league arenas` lists them, and after a colon how many of its first numbers ("slot A:2")."""
+    mode: Literal["shift", "replace"] = "shift"
+    """shift: a command is added to what the agent itself observes there, so that a command of zero is the skill as it
+    is; replace: the skill observes the command instead."""
+    reach: float = field(default=2.0, metadata={"above": 0.0, "high": 1000.0})
+    """Largest number of a command, in the part's unit: an action of ±1 of the strategy commands ± this."""
+    every: int = field(default=8, metadata={"low": 1, "high": 1000})
+    """Decisions of the arena for which a command is held; must divide training.rollout_length."""
+    combine: Literal["choose", "blend"] = "choose"
+    """Several skills of one agent: the strategy has a further action for each of them, a score. choose: the skill with
+    the highest score acts; blend: the mean of their actions, weighted by the softmax of the scores."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for skills without commands, and for commands without skills."""
+        if self.policies and len(self.command) not in (1, len(self.policies)):
+            raise ValueError(
+                f"command: {len(self.command)} parts for {len(self.policies)} policies; give one for each, or one for"
+                " all of them"
+            )
+        if self.command and not self.policies:
+            raise ValueError("command: there is no skill to command; name them in policies")
+
+    @property
+    def clock(self) -> int:
+        """Decisions of the arena per decision of what learns; 1 without skills."""
+        return self.every if self.policies else 1
 
 
 @dataclass(frozen=True)
@@ -154,9 +198,11 @@ class HappoConfig:
     precision: Precision = "float32"
     """Precision of matrix products while learning: float32; tf32 (10 bits instead of 23; float32 on a CPU); bf16 (7
     bits, in losses only). Weights, Adam's moments, densities, advantages and sums are always float32."""
+    skill: SkillSettings = field(default_factory=SkillSettings)
+    """Frozen policies through which agents act."""
     class_: str = field(default=HAPPO, metadata={"key": "class", "valid": check_class})
-    """The learner: happo, or a class of yours, file.py:Class, which reads no other key of this section but `settings`
-    and `critic_input` (docs/learners.md)."""
+    """The learner: happo, or a class of yours, file.py:Class, which reads no other key of this section but `settings`,
+    `skill` and `critic_input` (docs/learners.md)."""
     settings: Table = field(default_factory=Table)
     """Settings of a class of yours, with the keys that it takes: learner.settings.NAME."""
 
@@ -166,6 +212,8 @@ class HappoConfig:
             raise ValueError("settings: are those of a class of yours; name it as learner.class")
         if self.method == "ippo" and self.critic_input != "own":
             raise ValueError("critic_input: ippo's critics see what their own agents see; use own, or another method")
+        if self.skill.policies and self.architecture.recurrent:
+            raise ValueError("architecture.recurrent: a strategy over skills remembers nothing but its command; use 0")
         if self.architecture.recurrent and self.critic_input == "same":
             raise ValueError("critic_input: one critic for all teams remembers nothing; use own, all or privileged")
         if self.magnet_updates and not self.magnet_coef:
@@ -183,6 +231,11 @@ class HappoConfig:
                     )
         if self.desired_kl is not None and self.lr_decay_steps:
             raise ValueError("desired_kl: the learning rate can follow the KL divergence or lr_decay_steps, not both")
+
+    @property
+    def discount(self) -> float:
+        """Discount factor per row of training data, which over skills is a command of several decisions."""
+        return self.gamma**self.skill.clock
 
     @property
     def sequence(self) -> int | None:

@@ -35,7 +35,7 @@ from jax import Array
 
 import arenas
 from agents.bridge import to_jax
-from agents.policy.jax_policy import PolicyStack, act, policy_params, stack_policies
+from agents.policy.jax_policy import PolicyStack, decide, policy_params, stack_policies
 from agents.policy.networks import Actor
 from agents.rollout.rollout import make_reset, make_rollout, scripts_for
 from agents.settings import HappoConfig
@@ -177,8 +177,8 @@ def make_episode(arena: Arena, decisions: int) -> Callable:
     def decision(stacks: dict[str, PolicyStack], state: State, key: Array) -> tuple[State, dict[str, Array]]:
         number = state.void.shape[0]
         actions = {
-            a.name: act(stacks[a.name], state.observations[a.name],
-                        jax.random.split(jax.random.fold_in(key, i), number), scripts[a.kind], None)[0]
+            a.name: decide(stacks[a.name], state.observations[a.name],
+                           jax.random.split(jax.random.fold_in(key, i), number), scripts[a.kind], None).actions
             for i, a in enumerate(arena.agents)
         }  # fmt: skip
         state = jax.vmap(arena.step)(state, actions)

@@ -6,34 +6,79 @@ Simulated leagues of eight snapshots with normal strengths. Lineups of four of t
 episodes each, whose rankings have the chances of Plackett and Luce's model with ties of two and three teams, or
 without. All are fitted as in a league without parents. Prints JSON: how often the 95 % interval of a snapshot's Elo
 above the mean holds the true one, and that of the gap between two snapshots; the mean error in Elo, and mean tie terms.
+
+Then the four rotations of a lineup share seeds, as they do in a league. Each ranking alone still has the chances of the
+model. With "luck of snapshots" the second to fourth ranking repeats the first with a probability of one half each. With
+"luck of seats" the random parts of the four utilities are drawn, by a Gaussian copula, with a correlation of 0.7 for
+the same seat in all rotations. The intervals are those with the clusters and, for comparison, with all taken as
+independent.
 """
 
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from matchmaking.ratings.fit import ELO, Ratings, fit
 from matchmaking.ratings.payoff import sum_matches
 from matchmaking.ratings.plackett_luce import ranking_chances
 from scripts.record import make_parser, report, run_info
-from storage.records import ArenaKey, RankedMatch
+from storage.records import ArenaKey, RankedMatch, competition_ranks
 
 SNAPSHOTS, TEAMS = 8, 4
 TIES = {"no ties": {}, "ties": {2: 0.4, 3: 0.3}}
+REPEATED, CORRELATION = 0.5, 0.7
+
+Ranks = tuple[int, ...]
+Play = Callable[[np.ndarray, int, np.random.Generator], list[list[Ranks]]]
+"""A function of strengths (4,) and a number of seeds that returns for each seed the rankings of four rotations."""
 
 
-def league(
-    theta: np.ndarray, ties: dict[int, float], lineups: int, n: int, rng: np.random.Generator
-) -> list[RankedMatch]:
+def independent(ties: dict[int, float]) -> Play:
+    """Return games that share nothing."""
+    return lambda theta, seeds, rng: np.reshape(_drawn(theta, ties, seeds * TEAMS, rng), (seeds, TEAMS, TEAMS)).tolist()
+
+
+def luck_of_snapshots(ties: dict[int, float]) -> Play:
+    """Return games in which a seed favours the same snapshots from every seat."""
+
+    def play(theta: np.ndarray, seeds: int, rng: np.random.Generator) -> list[list[Ranks]]:
+        ranks = np.reshape(_drawn(theta, ties, seeds * TEAMS, rng), (seeds, TEAMS, TEAMS))
+        repeated = rng.random((seeds, TEAMS, 1)) < REPEATED
+        return np.where(repeated, ranks[:, :1], ranks).tolist()
+
+    return play
+
+
+def luck_of_seats(theta: np.ndarray, seeds: int, rng: np.random.Generator) -> list[list[Ranks]]:
+    """Return games without ties in which a seed favours the same seats, whoever takes them.
+
+    The order of utilities θ + G, with G of Gumbel's distribution, has the chances of Plackett and Luce's model.
+    """
+    of_seat, own = rng.normal(size=(seeds, TEAMS)), rng.normal(size=(seeds, TEAMS, TEAMS))
+    seat = (np.arange(TEAMS) - np.arange(TEAMS)[:, None]) % TEAMS  # of each snapshot in each rotation
+    normal = np.sqrt(CORRELATION) * of_seat[:, seat] + np.sqrt(1 - CORRELATION) * own
+    utility = theta - np.log(-np.log(ndtr(normal)))
+    return (1 + np.argsort(np.argsort(-utility, -1), -1)).tolist()
+
+
+def _drawn(theta: np.ndarray, ties: dict[int, float], number: int, rng: np.random.Generator) -> np.ndarray:
+    """Return rankings (number, 4)."""
+    chances = ranking_chances(theta.tolist(), ties)
+    return np.array(list(chances))[rng.choice(len(chances), number, p=list(chances.values()))]
+
+
+def league(theta: np.ndarray, play: Play, lineups: int, n: int, rng: np.random.Generator) -> list[RankedMatch]:
     """Simulate n episodes of each of a number of lineups."""
-    found = []
+    found, key = [], ArenaKey("tag", "0", "c")
     for number in range(lineups):
         who = rng.choice(len(theta), TEAMS, replace=False)
-        chances = ranking_chances(theta[who].tolist(), ties)
-        counts = rng.multinomial(n, list(chances.values()))
-        rankings = Counter({ranks: int(k) for ranks, k in zip(chances, counts, strict=True) if k})
-        key = ArenaKey("tag", "0", "c")
-        found.append(RankedMatch("bench", key, tuple(f"s{i}" for i in who), rankings, 0, (0,) * TEAMS, seed=number))
+        seeds = [tuple(competition_ranks(ranks) for ranks in seed) for seed in play(theta[who], n // TEAMS, rng)]
+        rankings, names = Counter(ranks for seed in seeds for ranks in seed), tuple(f"s{i}" for i in who)
+        clusters = dict(Counter(seeds))
+        found.append(RankedMatch("bench", key, names, rankings, 0, (0,) * TEAMS, number, seed_clusters=clusters))
     return found
 
 
@@ -48,22 +93,31 @@ def covered(ratings: Ratings, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return (ratings.low < truth) & (truth < ratings.high), inside[pairs], error
 
 
-def figures(ties: dict[int, float], lineups: int, n: int, leagues: int, rng: np.random.Generator) -> dict:
-    """Return the figures of leagues of one kind."""
-    own, gaps, errors, terms = [], [], [], []
+def figures(
+    play: Play, ties: dict[int, float], lineups: int, n: int, leagues: int, rng: np.random.Generator
+) -> dict[str, object]:
+    """Return the figures of leagues of one kind, and those of intervals that ignore seeds."""
+    own, gaps, errors, terms, alone, gaps_alone, widths = [], [], [], [], [], [], []
     for _ in range(leagues):
         theta = rng.normal(0, 1, SNAPSHOTS)
-        ratings = fit(sum_matches(league(theta, ties, lineups, n, rng)))
+        log = league(theta, play, lineups, n, rng)
+        ratings, ignoring = (fit(sum_matches(each)) for each in (log, [replace(m, seed_clusters={}) for m in log]))
         if len(ratings.names) < SNAPSHOTS:
             continue  # a snapshot was never drawn
-        each = covered(ratings, theta)
-        own.append(each[0])
-        gaps.append(each[1])
-        errors.append(each[2])
+        for found, (ratings_held, gaps_held) in (
+            (ratings, (own, gaps)), (ignoring, (alone, gaps_alone)),
+        ):  # fmt: skip
+            held, held_gaps, error = covered(found, theta)
+            ratings_held.append(held)
+            gaps_held.append(held_gaps)
+        errors.append(error)
         terms.append([ratings.ties.get(k, 0.0) for k in ties])
+        widths.append(np.mean(ratings.stderr / ignoring.stderr))
     return {
         "rating_covered": round(float(np.mean(own)), 4), "gap_covered": round(float(np.mean(gaps)), 4),
-        "error_elo": round(float(np.mean(errors)), 1),
+        "rating_covered_ignoring_seeds": round(float(np.mean(alone)), 4),
+        "gap_covered_ignoring_seeds": round(float(np.mean(gaps_alone)), 4),
+        "width_to_that_ignoring_seeds": round(float(np.mean(widths)), 3), "error_elo": round(float(np.mean(errors)), 1),
         "ties": {k: round(float(mean), 3) for k, mean in zip(ties, np.mean(terms, 0), strict=True)},
     }  # fmt: skip
 
@@ -74,9 +128,12 @@ def main() -> None:
     parser.add_argument("--leagues", type=int, default=400, help="simulated leagues of each kind")
     args = parser.parse_args()
     rng = np.random.default_rng(0)
+    kinds = {f"independent, {name}": (independent(ties), ties) for name, ties in TIES.items()}
+    kinds |= {f"luck of snapshots, {name}": (luck_of_snapshots(ties), ties) for name, ties in TIES.items()}
+    kinds["luck of seats, no ties"] = luck_of_seats, {}
     found = {
-        f"{name}, {lineups} lineups of {n} episodes": figures(ties, lineups, n, args.leagues, rng)
-        for name, ties in TIES.items()
+        f"{name}, {lineups} lineups of {n} episodes": figures(play, ties, lineups, n, args.leagues, rng)
+        for name, (play, ties) in kinds.items()
         for lineups, n in ((20, 4), (20, 16), (20, 64))
     }
     report({**run_info(args.commit), "leagues": args.leagues, "simulated": found}, args.out)

@@ -5,17 +5,22 @@
     python -m scripts.script_tournament sumo-1v1 --pairs pusher:idle     # only these, with the seeds of the table
 
 Episodes are played and counted as in a league's rating matches (`league/matches/evaluator.py`), with seed pairs, and
-with sides swapped if rosters are equal, in a store that is deleted afterwards. A page has the table between two marks,
-as the part of `scripts/arena_pages.py`; each arena has its own marks, at any place of the page.
+with sides swapped if rosters are equal, in a store that is deleted afterwards. In an arena of three and more equal
+teams one team plays a script against all others with another one, in all rotations of seats from the same seeds. A page
+has the table between two marks, as the part of `scripts/arena_pages.py`; each arena has its own marks, at any place of
+the page.
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from pathlib import Path
 from typing import get_args
+
+import numpy as np
 
 import arenas
 from arenas.arena import Arena, Settings
@@ -31,8 +36,9 @@ from league.queries import arena_info
 from league.snapshots.codec import add_scripts
 from league.state.jobs import RatingMatch
 from matchmaking.ratings.ladder import Ladder
+from matchmaking.ratings.scores import Score, quantile
 from scripts import arena_pages
-from storage.records import ArenaKey, League, Match
+from storage.records import ArenaKey, League, Match, RankedMatch
 from storage.store import Store
 
 LEAGUE = "tournament"
@@ -48,22 +54,26 @@ class Tournament:
     sides: tuple[dict[str, str], ...]  # script -> snapshot, of each team; equal where rosters are
     episodes: int  # for each pair, void ones included
     ladder: Ladder
+    one_against_all: dict[tuple[str, str], Score]  # (snapshot, the others') -> its score, of three and more teams
 
     @property
     def alike(self) -> bool:
-        """True if both teams have the same roster."""
-        return len(self.sides) == 2 and self.sides[0] == self.sides[1]
+        """True if all teams have the same roster."""
+        return len(self.sides) > 1 and all(side == self.sides[0] for side in self.sides)
 
 
 def pairs(sides: Sequence[dict[str, str]]) -> list[tuple[str, str | None]]:
     """Return all pairs of scripts: of equal teams each pair once, else each of one side with each of the other.
 
-    In an arena of one team the opponent is None. Raises ArenaError for more than two teams, or a team without scripts.
+    In an arena of one team the opponent is None. Of three and more teams the first script is one team's, the second
+    that of all others. Raises ArenaError for three and more unlike teams, or a team without scripts.
     """
-    if len(sides) > 2:
-        raise ArenaError(f"a table of scripts is for one team or two, and here are {len(sides)}")
     if not all(sides):
         raise ArenaError("a table of scripts needs one that a whole team can play, for each of the teams")
+    if len(sides) > 2:
+        if any(side != sides[0] for side in sides):
+            raise ArenaError(f"a table of scripts is for one team, two, or equal ones, and here are {len(sides)}")
+        return [*permutations(sides[0].values(), 2)]
     if len(sides) == 1:
         return [(name, None) for name in sides[0].values()]
     first, second = (side.values() for side in sides)
@@ -101,14 +111,51 @@ def play(
             {script: known[team.roster, script] for script in arena.playable_scripts(team)} for team in arena.teams
         )
         matches: list[Match] = []
+        scores: dict[tuple[str, str], Score] = {}
         wanted = chosen(sides, asked) if asked else set(pairs(sides))
         for number, (a, b) in enumerate(pairs(sides)):
             if (a, b) not in wanted:
                 continue
             print(f"{arena.name}: {a}{f' against {b}' if b else ''}", file=sys.stderr)
-            matches += evaluator.play(store, RatingMatch(((a, b),), seed + number, record=False))
+            others = [b] * max(1, len(sides) - 1)
+            found = evaluator.play(store, RatingMatch(((a, *others),), seed + number, record=False))
+            if b is not None and len(others) > 1:
+                scores[a, b] = alone(a, [match for match in found if isinstance(match, RankedMatch)])
+            else:
+                matches += [match for match in found if isinstance(match, Match)]
     ladder = Ladder([name for side in sides for name in side.values()], matches)
-    return Tournament(evaluator.key, tuple(team.name for team in arena.teams), sides, episodes, ladder)
+    return Tournament(evaluator.key, tuple(team.name for team in arena.teams), sides, episodes, ladder, scores)
+
+
+def alone(name: str, matches: Sequence[RankedMatch]) -> Score:
+    """Return a snapshot's score in the rotations of a lineup in which it plays one team, and its 95 % interval.
+
+    Its score in a game is that against each other team, on average: 1 if it is ahead of all, ½ if all are equal. The
+    interval is Wilson's, with the number of seeds divided by the variance of a seed's mean score, as
+    `matchmaking.ratings.scores.score_interval` has it for seed pairs.
+    """
+
+    def score(ranks: Sequence[int], at: int) -> float:
+        others = [rank for team, rank in enumerate(ranks) if team != at]
+        return float(np.mean([0.5 if rank == ranks[at] else rank > ranks[at] for rank in others]))
+
+    games = [(score(ranks, match.snapshots.index(name)), n) for match in matches for ranks, n in match.rankings.items()]
+    seeds = [
+        (float(np.mean([score(ranks, match.snapshots.index(name)) for ranks in cluster])), n)
+        for match in matches
+        for cluster, n in match.seed_clusters.items()
+    ]
+    number, voids = sum(n for _, n in games), sum(match.voids for match in matches)
+    if not number or not seeds:
+        return Score(float("nan"), 0.0, 1.0, number, voids)
+    mean = sum(value * n for value, n in games) / number
+    (values, counts), z2, limit = np.transpose(seeds), quantile(0.95) ** 2, mean * (1 - mean)
+    variance = float((counts * (values - mean) ** 2).sum())
+    decisive = variance / limit if limit else counts.sum()  # games all won have the interval of so many alone
+    effective = counts.sum() * (counts.sum() + z2) / (decisive + z2)
+    centre = (effective * mean + z2 / 2) / (effective + z2)
+    half = math.sqrt(z2 * (effective * limit + z2 / 4)) / (effective + z2)
+    return Score(mean, centre - half, centre + half, number, voids)
 
 
 def markdown(played: Tournament) -> str:
@@ -121,6 +168,12 @@ def _sentence(played: Tournament) -> str:
     if len(played.sides) == 1:
         return (
             f"Success of the scripts in `{played.key.arena}`, with its 95 % interval: {played.episodes} episodes {of}."
+        )
+    if len(played.sides) > 2:
+        return (
+            f"Score of one team with the row's script against {len(played.sides) - 1} with the column's in"
+            f" `{played.key.arena}`, on average over these: ½ is even, and a tie counts half. With its 95 % interval:"
+            f" {played.episodes} episodes of each pair {of}, in all rotations of seats from the same seeds."
         )
     whose = "the row's script against the column's"
     how = "seed pairs with sides swapped"
@@ -141,18 +194,22 @@ def _rows(played: Tournament) -> Iterator[dict[str, object]]:
     for script, a in played.sides[0].items():
         row: dict[str, object] = {"": script}
         if len(played.sides) == 1:
-            row["success"] = _cell(played.ladder, a, None)
+            row["success"] = _cell(played, a, None)
         else:
-            row |= {other: _cell(played.ladder, a, b) for other, b in played.sides[1].items()}
+            row |= {other: _cell(played, a, b) for other, b in played.sides[1].items()}
         yield row
 
 
-def _cell(ladder: Ladder, a: str, b: str | None) -> str:
+def _cell(played: Tournament, a: str, b: str | None) -> str:
     """Format a score with its interval, and the numbers of drawn and void episodes unless zero."""
+    ladder = played.ladder
     if a == b:
         return "–"
     payoff, i = ladder.payoff, ladder.payoff.index(a)
-    if b is None:
+    if b is not None and len(played.sides) > 2:
+        score = played.one_against_all.get((a, b), Score(float("nan"), 0.0, 1.0, 0))
+        draws, voids = 0, score.voids
+    elif b is None:
         score, draws, voids = ladder.success(a), 0, int(payoff.trials[i, 2])
     else:
         j = payoff.index(b)
@@ -195,7 +252,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in options.names:
         settings = arenas.settings(name)
         arena = settings.build(engine=options.engine, worlds=options.episodes)
-        text = markdown(play(arena, settings, options.episodes, options.seed, options.pairs))
+        each = math.lcm(2, len(arena.teams))  # as many episodes in each rotation, and an even number of worlds
+        episodes = -(-options.episodes // each) * each
+        text = markdown(play(arena, settings, episodes, options.seed, options.pairs))
         print(text)
         if options.page:
             print(write(name, text))

@@ -172,6 +172,10 @@ class Match:
         return self.wins + self.draws + self.losses
 
 
+SeedCluster = tuple[tuple[int, ...], ...]
+"""Rankings of the episodes that share a seed: one for each rotation of a lineup, all in the same order of snapshots."""
+
+
 @dataclass(frozen=True)
 class RankedMatch:
     """A batch of episodes between three to eight snapshots, one for each team. Batches of two teams are `Match`.
@@ -180,6 +184,11 @@ class RankedMatch:
     equal ranks are a tie. Ranks are those of standard competition ranking: a team's rank is 1 plus the number of teams
     ahead of it, so 1, 2, 2, 4. `voids`, `causes`, `seconds` and `due` are as in `Match`. `voids_by_team` counts the
     voids in which only that team's robots became unstable. A snapshot may play several teams.
+
+    A lineup plays all its rotations of seats from the same seeds, each in a row of its own. `seed_clusters` counts the
+    seeds from which every rotation ended without a void, by the rankings of these episodes, as ranks of the snapshots
+    in this row's order. The first of them is that of this row. Only the row of a lineup's first rotation has them; it
+    is empty in the others, and where no two episodes share a seed.
     """
 
     league: str
@@ -195,6 +204,7 @@ class RankedMatch:
     seconds: float = 0.0
     due: float | None = None
     causes: int = 0
+    seed_clusters: Mapping[SeedCluster, int] = field(default_factory=dict)
     id: int = 0  # from the same counter as that of Match
     created: float = 0.0
 
@@ -221,20 +231,22 @@ class LineupTotals(NamedTuple):
     voids: int
     voids_by_team: tuple[int, ...]
     created: float  # time of the newest match
+    seed_clusters: Mapping[SeedCluster, int] = MappingProxyType({})  # as in RankedMatch
 
     @classmethod
     def of(cls, match: RankedMatch) -> "LineupTotals":
         """Return the sums of one match."""
-        return cls(match.rankings, match.voids, match.voids_by_team, match.created)
+        return cls(match.rankings, match.voids, match.voids_by_team, match.created, match.seed_clusters)
 
     def plus(self, other: "LineupTotals | None") -> "LineupTotals":
         """Return the sums of these and other matches of the same snapshots."""
         if other is None:
             return self
         by_team = tuple(map(sum, zip(self.voids_by_team, other.voids_by_team, strict=True)))
-        rankings = Counter(self.rankings)
+        rankings, clusters = Counter(self.rankings), Counter(self.seed_clusters)
         rankings.update(other.rankings)
-        return LineupTotals(rankings, self.voids + other.voids, by_team, max(self.created, other.created))
+        clusters.update(other.seed_clusters)
+        return LineupTotals(rankings, self.voids + other.voids, by_team, max(self.created, other.created), clusters)
 
 
 class MatchTotals(NamedTuple):

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from agents.errors import Diverged
+from agents.policy import entity_places
 from agents.policy.constant_inputs import has_input_norm, is_constant, silence_constant_inputs
 
 State = Mapping[str, np.ndarray]
@@ -76,11 +77,17 @@ def actor_owners(state: State, agents: int) -> list[int]:
 
 
 def with_actor(state: State, i: int, given: State, j: int) -> dict[str, np.ndarray]:
-    """Return the state with agent i's actor and its observation statistics taken from agent j of another learner."""
+    """Return the state with agent i's actor and its observation statistics taken from agent j of another learner.
+
+    Sets of entities may have another number of entities there. Raises ValueError if they differ in more.
+    """
     mine, theirs = (actor_owners(s, _agents(s)) for s in (state, given))
     here, there = mine[i], theirs[j]
+    network = f"actor.{here}."
     new = {k.replace(f".{there}.", f".{here}.", 1): v for k, v in given.items() if k.startswith(f"actor.{there}.")}
-    return {**state, **new}
+    size, before = (np.size(arrays[f"{network}trunk.observation_mean"]) for arrays in (state, new))
+    to = entity_places.places_of(state, network)
+    return {**state, **(entity_places.refitted(new, network, to) if to and size != before else new)}
 
 
 def with_critics(state: State, given: State) -> dict[str, np.ndarray]:

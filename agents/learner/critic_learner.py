@@ -81,7 +81,7 @@ class CriticLearner:
             predictions, following, states = self._evaluate_sequence(batch, view)
         values, next_values = self._denormalise(predictions), self._denormalise(following)
         ends = view.terminated, batch.truncated, view.void
-        A = advantages(view.rewards, values, next_values, *ends, c.gamma, c.gae_lambda)
+        A = advantages(view.rewards, values, next_values, *ends, c.discount, c.gae_lambda)
         found = inputs.values, predictions, values, A, A + values, ~view.void
         seen, old, known, gained, R, valid = (rows(x, c.sequence) for x in found)
         critic_batch = CriticBatch(Normalised(seen), old, known, gained, R, valid)

@@ -15,7 +15,7 @@ from agents.learner.actor_learner import ActorLearner
 from agents.learner.checkpoint import State
 from agents.learner.critic_learner import CriticLearner
 from agents.learner.trust_region import TrustRegionLearner
-from agents.policy.entities import Index
+from agents.policy.entity_places import Index
 from agents.policy.networks import Actor, Critic
 from agents.settings import HappoConfig
 

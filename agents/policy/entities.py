@@ -3,13 +3,13 @@
 Deep Sets: an order of the entities has no effect, and absent ones, whose numbers are all zero, none either.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-Index = Sequence[Sequence[int]]  # (entities, numbers of each): places in the observation
+from agents.policy.entity_places import Index
 
 
 class EntityEncoder(nn.Module):
@@ -58,9 +58,3 @@ class EntityEncoder(nn.Module):
         mean, var = mean.clone(), var.clone()
         mean[self.index], var[self.index] = one.expand_as(each), own.expand_as(each)
         return mean, var
-
-
-def own_numbers(size: int, sets: Sequence[Index]) -> list[int]:
-    """Return the places in an observation of `size` numbers that belong to no entity."""
-    taken = {place for index in sets for entity in index for place in entity}
-    return [place for place in range(size) if place not in taken]

@@ -6,10 +6,12 @@ back.
 
 The hidden state of recurrent policies is one array (N, units) per agent, with the state of the policy that acts in each
 world. It is as wide as the widest policy of the stack needs, padded with zeros, so that the state of a world keeps its
-place whichever policy acts there. Without recurrent policies there is none.
+place whichever policy acts there. Policies over skills (`agents.policy.skills`) keep their command there. A stack
+without either has no such array.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,6 +20,8 @@ import numpy as np
 from jax import Array
 
 from agents.policy.host_policy import HostPolicy, HostSeats, act_on_host, host_seats
+from agents.policy.skill_arrays import is_over_skills, strategy_of
+from agents.policy.skills import command_memory_size, held_choice, skilled_actions
 from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
 from arenas.robots.robot import Script
 
@@ -37,6 +41,15 @@ class PolicyStack(NamedTuple):
     part: Array  # (K,) int32: the part that holds a group's policy
     script: Array | None  # (K,) int32: 0 is a learned policy, n the agent's script n - 1; None: no scripts at all
     host: HostSeats | None = None  # None: no policies on the host at all
+
+
+class Decision(NamedTuple):
+    """Decisions of the policies of an agent in N worlds."""
+
+    actions: Array  # (N, act) that the robot executes
+    choices: Array  # (N, choice) what a learner learns: the actions, or of policies over skills their commands
+    log_probs: Array  # (N,) of the choices; 0 of scripts and policies on the host
+    memory: Array | None  # (N, units) hidden states afterwards, in stacks that need them
 
 
 def policy_params(arrays: Mapping[str, np.ndarray | Array]) -> Params:
@@ -76,7 +89,7 @@ def stack_policies(
 
 def memory_size(stack: PolicyStack) -> int:
     """Return the width of the hidden state of a stack; 0 if no policy is recurrent."""
-    return max((_memory_size(params) for params in stack.parts), default=0)
+    return max((_memory_size(params) or command_memory_size(params) for params in stack.parts), default=0)
 
 
 def update_memory(stack: PolicyStack, observations: Array, memory: Array, first: Array) -> Array:
@@ -96,22 +109,30 @@ def update_memory(stack: PolicyStack, observations: Array, memory: Array, first:
     return after.reshape(memory.shape)
 
 
-def act(
+def decide(
     stack: PolicyStack, observations: Array, keys: Array, scripts: Sequence[Script] = (), memory: Array | None = None,
-    agent: str = "", first: Array | None = None,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return actions (N, act) and log densities (N,) for observations (N, obs) and one key per world (N,).
+    agent: str = "", first: Array | None = None, tick: Array | None = None,
+) -> Decision:  # fmt: skip
+    """Return the decisions for observations (N, obs) and one key per world (N,).
 
-    The N worlds are K equal groups, one after the other. The log density of a script and of a policy on the host is 0.
-    Learned policies are evaluated for all worlds, others only for their own groups. `memory` (N, units) is the hidden
-    state of recurrent policies that `update_memory` returned for these observations. Policies on the host are told the
-    agent's name and where an episode begins, `first` (N,) bool (None: everywhere).
+    The N worlds are K equal groups, one after the other. Learned policies are evaluated for all worlds, others only for
+    their own groups. `memory` (N, units) are the hidden states before these observations. `first` (N,) bool marks where
+    an episode begins (None: everywhere), and policies on the host are told the agent's name. `tick` () is the number of
+    the decision in a rollout, see `held_choice`.
     """
+    begins = jnp.ones(keys.shape, bool) if first is None else first
+    if memory is not None:
+        memory = update_memory(stack, observations, memory, begins)
     groups = stack.part.shape[0]
     seen, group_keys = observations.reshape(groups, -1, observations.shape[-1]), keys.reshape(groups, -1)
+    kept, group_first = (
+        None if memory is None else memory.reshape(groups, -1, memory.shape[-1]),
+        begins.reshape(groups, -1),
+    )
+    choices = None
     if stack.parts:
-        kept = None if memory is None else memory.reshape(groups, -1, memory.shape[-1])
-        action, log_prob = _learned_actions(stack, seen, group_keys, kept)
+        learned = _learned_decisions(stack, seen, group_keys, kept, group_first, tick)
+        action, choices, log_prob, kept = learned
     elif stack.host is not None:
         action = jnp.zeros((*group_keys.shape, *stack.host.blank.shape))
         log_prob = jnp.zeros(group_keys.shape)
@@ -125,10 +146,13 @@ def act(
             (stack.script, seen, group_keys, action, log_prob),
         )
     if stack.host is not None:
-        begins = jnp.ones(group_keys.shape, bool) if first is None else first.reshape(group_keys.shape)
-        own, here = act_on_host(stack.host, agent, seen, group_keys, begins), (stack.host.number > 0)[:, None]
+        own, here = act_on_host(stack.host, agent, seen, group_keys, group_first), (stack.host.number > 0)[:, None]
         action, log_prob = jnp.where(here[..., None], own, action), jnp.where(here, 0.0, log_prob)
-    return action.reshape(-1, action.shape[-1]), log_prob.reshape(-1)
+    choices = action if choices is None else choices
+    return Decision(
+        action.reshape(-1, action.shape[-1]), choices.reshape(-1, choices.shape[-1]), log_prob.reshape(-1),
+        None if memory is None or kept is None else kept.reshape(memory.shape),
+    )  # fmt: skip
 
 
 def distribution(params: Params, observations: Array, memory: Array | None = None) -> tuple[Array, Array]:
@@ -231,15 +255,59 @@ def _squashed(mean: Array, std: Array, drawn: Array, limit: Array) -> tuple[Arra
     return actions, log_density.sum(axis=-1)
 
 
-def _learned_actions(stack: PolicyStack, seen: Array, group_keys: Array, memory: Array | None) -> tuple[Array, Array]:
-    """Return actions (K, n, act) and log densities (K, n), each group's from the part that holds its policy."""
-    answers = [jax.vmap(sample)(params, seen, group_keys, memory) for params in stack.parts]
-    action, log_prob = answers[0]
-    for number, (other, density) in enumerate(answers[1:], start=1):
+def mean_action(params: Params, observations: Array, memory: Array | None = None) -> Array:
+    """Return the mean actions (n, act) for observations (n, obs), squashed if the policy squashes.
+
+    A recurrent policy needs its hidden state (n, units) after these observations.
+    """
+    mean, _ = distribution(params, observations, memory)
+    if "squash" not in params:
+        return mean
+    return params["squash"] * jnp.clip(jnp.tanh(mean / params["squash"]), -SQUASH_EDGE, SQUASH_EDGE)
+
+
+def _learned_decisions(
+    stack: PolicyStack, seen: Array, keys: Array, memory: Array | None, first: Array, tick: Array | None
+) -> tuple[Array, Array | None, Array, Array | None]:
+    """Return actions (K, n, act), choices, log densities (K, n) and hidden states, each group's from its own part.
+
+    Choices (K, n, as many as the widest) are None if no part is over skills: they are then the actions.
+    """
+    skilled = any(map(is_over_skills, stack.parts))
+    answers = []
+    for params in stack.parts:
+        if is_over_skills(params):
+            if memory is None:
+                raise ValueError("a policy over skills holds its command in its memory: give it one")
+            answers.append(jax.vmap(partial(_by_skills, tick))(params, seen, keys, memory, first))
+        else:
+            action, density = jax.vmap(sample)(params, seen, keys, memory)
+            answers.append((action, action, density, memory))
+    width = max(choice.shape[-1] for _, choice, *_ in answers)
+    action, choice, log_prob, kept = answers[0]
+    choice = _widened(choice, width)
+    for number, (other, other_choice, density, remembered) in enumerate(answers[1:], start=1):
         here = (stack.part == number)[:, None]
         action = jnp.where(here[..., None], other, action)
         log_prob = jnp.where(here, density, log_prob)
-    return action, log_prob
+        if skilled:
+            choice = jnp.where(here[..., None], _widened(other_choice, width), choice)
+            kept = jnp.where(here[..., None], remembered, kept)
+    return action, choice if skilled else None, log_prob, kept
+
+
+def _by_skills(
+    tick: Array | None, params: Params, seen: Array, keys: Array, memory: Array, first: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return action, choice, log density of a new choice, and memory (n, units) of a policy over skills."""
+    new, log_prob = sample(strategy_of(params), seen, keys)
+    choice, after = held_choice(params, new, memory, first, tick)
+    return skilled_actions(params, seen, choice, mean_action), choice, log_prob, _widened(after, memory.shape[-1])
+
+
+def _widened(values: Array, width: int) -> Array:
+    """Return values (..., n) with zeros up to the width."""
+    return jnp.pad(values, (*[(0, 0)] * (values.ndim - 1), (0, width - values.shape[-1])))
 
 
 def _each_group(function: Callable, groups: tuple[Array, ...]) -> tuple[Array, Array]:

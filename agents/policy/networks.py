@@ -17,7 +17,8 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 from agents.batch import Normalised, Sequences
-from agents.policy.entities import EntityEncoder, Index, own_numbers
+from agents.policy.entities import EntityEncoder
+from agents.policy.entity_places import Index, own_numbers
 from agents.policy.tanh import tanh
 from agents.settings import ACTIVATIONS, SQUASH_EDGE, VARIANCE_FLOOR, Architecture
 

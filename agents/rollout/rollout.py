@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agents.policy.jax_policy import PolicyStack, act, memory_size, update_memory
+from agents.policy.jax_policy import Decision, PolicyStack, decide, memory_size
 from arenas.arena import Arena
 from arenas.robots.robot import Script
 from arenas.state import Frames, State
@@ -20,7 +20,7 @@ from arenas.state import Frames, State
 CUT_SEED = 0x7FFFFFFF  # folded into the key that also places the robots; an arena may use the small numbers
 
 
-Memory = Mapping[str, Array]  # (N, units) by agent name, for agents with a recurrent policy in their stack
+Memory = Mapping[str, Array]  # (N, units) by agent name, for agents with a policy in their stack that remembers
 Frozen = Mapping[str, np.ndarray]  # (N, obs) bool by agent name: numbers that its policy sees as they were at the start
 
 
@@ -38,7 +38,7 @@ class Trajectory(NamedTuple):
 
     observations: dict[str, Array]  # (T, N, obs) before the decision
     next_observations: dict[str, Array]  # (T, N, obs) after the decision, before a new episode begins
-    actions: dict[str, Array]  # (T, N, act)
+    actions: dict[str, Array]  # (T, N, act) what policies chose: over skills, their commands (`jax_policy.Decision`)
     log_probs: dict[str, Array]  # (T, N)
     alive: dict[str, Array]  # (T, N) bool: the agent took part in this decision
     next_alive: dict[str, Array]  # (T, N) bool: the same in the state that followed
@@ -81,8 +81,8 @@ class PlayedEpisodes(NamedTuple):
 
 
 Act = Callable[
-    [Mapping[str, PolicyStack], dict[str, Array], Array, Memory | None, Array],
-    tuple[dict[str, Array], dict[str, Array], Memory | None],
+    [Mapping[str, PolicyStack], dict[str, Array], Array, Memory | None, Array, Array | None],
+    tuple[dict[str, Decision], Memory | None],
 ]
 
 
@@ -98,7 +98,7 @@ def make_rollout(
     """
     if chunk is not None and length % chunk:
         raise ValueError(f"{length} decisions are no whole number of chunks of {chunk}")
-    decide = _make_act(arena)
+    let_act = _make_act(arena)
     whole = jax.vmap(arena.privileged_state)
 
     def by_agent(alive: Array) -> dict[str, Array]:
@@ -107,18 +107,20 @@ def make_rollout(
     def rollout(stacks: Mapping[str, PolicyStack], worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
         number = worlds.age.shape[0]
 
-        def decision(worlds: Worlds, key: Array) -> tuple[Worlds, Trajectory]:
-            state = worlds.state
+        def decision(worlds: Worlds, moment: tuple[Array, Array]) -> tuple[Worlds, Trajectory]:
+            state, (key, tick) = worlds.state, moment
             act_key, place_key = jax.random.split(key)
-            actions, log_probs, memory = decide(
-                stacks, state.observations, jax.random.split(act_key, number), worlds.memory, worlds.age == 0
+            decisions, memory = let_act(
+                stacks, state.observations, jax.random.split(act_key, number), worlds.memory, worlds.age == 0, tick
             )
-            after = jax.vmap(arena.step)(state, actions)
+            after = jax.vmap(arena.step)(state, {agent: each.actions for agent, each in decisions.items()})
             verdict, age = after.verdict, worlds.age + 1
             cut = (worlds.left == 1) & ~after.done
             over = after.done | cut
             step = Trajectory(
-                state.observations, after.observations, actions, log_probs,
+                state.observations, after.observations,
+                {agent: each.choices for agent, each in decisions.items()},
+                {agent: each.log_probs for agent, each in decisions.items()},
                 by_agent(state.alive), by_agent(after.alive), verdict.reward, verdict.shaping, verdict.score,
                 verdict.terminated, verdict.truncated | cut, after.void, after.at_fault, cut, age,
                 (whole(state), whole(after)) if privileged else (), causes=after.causes,
@@ -127,14 +129,15 @@ def make_rollout(
             left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))
             return Worlds(fresh, jnp.where(over, 0, age), left, memory), step
 
-        def stretch(worlds: Worlds, keys: Array) -> tuple[Worlds, tuple[Memory | None, Trajectory]]:
-            after, steps = jax.lax.scan(decision, worlds, keys)
+        def stretch(worlds: Worlds, moments: tuple[Array, Array]) -> tuple[Worlds, tuple[Memory | None, Trajectory]]:
+            after, steps = jax.lax.scan(decision, worlds, moments)
             return after, (worlds.memory, steps)
 
-        worlds, keys = with_memory(worlds, stacks), jax.random.split(key, length)
+        worlds, moments = with_memory(worlds, stacks), (jax.random.split(key, length), jnp.arange(length))
         if chunk is None:
-            return jax.lax.scan(decision, worlds, keys)
-        worlds, (memories, steps) = jax.lax.scan(stretch, worlds, keys.reshape(-1, chunk))
+            return jax.lax.scan(decision, worlds, moments)
+        chunks = jax.tree.map(lambda x: x.reshape(-1, chunk), moments)
+        worlds, (memories, steps) = jax.lax.scan(stretch, worlds, chunks)
         steps = jax.tree.map(lambda x: x.reshape(length, *x.shape[2:]), steps)
         return worlds, steps._replace(memories=memories)
 
@@ -256,7 +259,7 @@ def _match(
     Callable[[Mapping[str, PolicyStack], MatchState, int], tuple[MatchState, EpisodeRecords]],
 ]:  # fmt: skip
     """Return the functions that begin a match and play its next decisions."""
-    decide, whole = _make_act(arena), jax.vmap(arena.privileged_state)
+    let_act, whole = _make_act(arena), jax.vmap(arena.privileged_state)
     kept, masks = jnp.asarray(recorded, jnp.int32), frozen or {}
 
     def critic_observations(state: State) -> CriticObservations:
@@ -284,7 +287,8 @@ def _match(
             shown = state.observations | {
                 agent: jnp.where(mask, first[agent], state.observations[agent]) for agent, mask in masks.items()
             }
-            actions, _, memory = decide(stacks, shown, keys, memory, jnp.broadcast_to(t == 0, keys.shape))
+            decisions, memory = let_act(stacks, shown, keys, memory, jnp.broadcast_to(t == 0, keys.shape), None)
+            actions = {agent: each.actions for agent, each in decisions.items()}
             after, frames = jax.vmap(arena.step_with_frames)(state, actions)
             records = EpisodeRecords(
                 jax.tree.map(lambda x: jnp.moveaxis(x[kept], 0, 1), frames),
@@ -342,26 +346,27 @@ def _fit_memory(memory: Memory | None, stacks: Mapping[str, PolicyStack], number
 def _make_act(arena: Arena) -> Act:
     """Return the function that lets all agents act.
 
-    It is decide(stacks, observations, keys (N,), memory, first (N,)) -> (actions, log_probs, memory), by agent name.
+    It is let_act(stacks, observations, keys (N,), memory, first (N,), tick) -> (decisions, memory), by agent name.
     """
     scripts = {agent.kind: tuple(scripts_for(arena, agent.kind).values()) for agent in arena.agents}
 
-    def decide(
+    def let_act(
         stacks: Mapping[str, PolicyStack],
         observations: dict[str, Array],
         keys: Array,
         memory: Memory | None,
         first: Array,
-    ) -> tuple[dict[str, Array], dict[str, Array], Memory | None]:
-        actions, log_probs, after = {}, {}, dict(memory or {})
+        tick: Array | None,
+    ) -> tuple[dict[str, Decision], Memory | None]:
+        found, after = {}, dict(memory or {})
         for i, agent in enumerate(arena.agents):
             own = jax.vmap(lambda key: jax.random.fold_in(key, i))(keys)  # noqa: B023  (called at once)
-            stack, seen = stacks[agent.name], observations[agent.name]
-            if agent.name in after:
-                after[agent.name] = update_memory(stack, seen, after[agent.name], first)
-            actions[agent.name], log_probs[agent.name] = act(
-                stack, seen, own, scripts[agent.kind], after.get(agent.name), agent.name, first
-            )
-        return actions, log_probs, after or None
+            found[agent.name] = decide(
+                stacks[agent.name], observations[agent.name], own, scripts[agent.kind], after.get(agent.name),
+                agent.name, first, tick,
+            )  # fmt: skip
+            if (remembered := found[agent.name].memory) is not None:
+                after[agent.name] = remembered
+        return found, after or None
 
-    return decide
+    return let_act

@@ -101,8 +101,14 @@ class Config:
                 f"learner.chunk_length: must divide training.rollout_length, {training.rollout_length}, where"
                 f" learner.architecture.recurrent is set; use {fit}, or another rollout length"
             )
+        if training.rollout_length % (every := self.learner.skill.clock):
+            raise ValueError(
+                f"learner.skill.every: must divide training.rollout_length, {training.rollout_length}: a rollout is a"
+                " whole number of commands"
+            )
         if training.worlds is not None:
             samples, of = training.worlds * training.rollout_length // chunk, " / chunk_length" if chunk > 1 else ""
+            samples, of = (samples // every, " / learner.skill.every") if every > 1 else (samples, of)
             if self.learner.minibatches > samples:
                 raise ValueError(
                     f"learner.minibatches: a batch has only {samples} samples, worlds × rollout_length{of}"
@@ -253,7 +259,7 @@ def _check_learner_flags(config: Config, given: flags.Given) -> None:
     if HAPPO in classes:
         return
     for key in given:
-        if key[0] == "learner" and key[1] not in ("class", "settings", "critic_input"):
+        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
             raise ConfigError(
                 key,
                 f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"

@@ -66,6 +66,8 @@ class PlayerSettings:
     """Its learner, as learner.class (none: that of the league)."""
     settings: Table = field(default_factory=Table)
     """Settings of its learner, over those of learner.settings where it is the same class."""
+    flat: bool = False
+    """Act by its own networks alone, without the skills of learner.skill."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a network without layers and for a player without a team."""

@@ -18,7 +18,7 @@ from arenas.arena import Arena
 from league.config.experiment import Config
 from league.matches.episode_recording import episode
 from league.matches.masking import mask_opponents
-from league.matches.match_rows import match_row, ranked_row
+from league.matches.match_rows import match_row, ranked_row, seed_clusters
 from league.matches.time_slices import TimeSlices
 from league.snapshots.arena_transfer import elsewhere
 from league.snapshots.codec import Policy, seat, thaw
@@ -110,14 +110,23 @@ class MatchEvaluator:
         self, store: Store, games: PlayedEpisodes, i: int, seats: Sequence[Sides], task: RatingMatch,
         episodes: Sequence[Recording] = (),
     ) -> list[RankedMatch]:  # fmt: skip
-        """Return the rows of lineup `i`, one for each of its seatings, with the recordings of that seating."""
+        """Return the rows of lineup `i`, one for each of its seatings, with the recordings of that seating.
+
+        The first row has the seed clusters of all.
+        """
         found, first = [], self.groups * i
-        for seating in dict.fromkeys(seats[first : first + self.groups]):
+        seatings = list(dict.fromkeys(seats[first : first + self.groups]))
+        for seating in seatings:
             groups = [k for k in range(first, first + self.groups) if seats[k] == seating]
             worlds = np.concatenate([np.arange(k * self.each, (k + 1) * self.each) for k in groups])
             own = [each for each in episodes if each.header.sides == tuple(s.name for s in seating)]
             kept = store.blobs.put(to_bytes(*own)) if own else None
             found.append(self.ranked_match(games, seating, worlds, task, kept))
+        if (K := len(seatings)) > 1:  # groups of worlds with the same keys follow each other, see `_keys`
+            blocks = (first + np.arange(self.groups // K * K)).reshape(-1, K)
+            worlds = (blocks.T[:, :, None] * self.each + np.arange(self.each)).reshape(K, -1)
+            names = [[s.name for s in seating] for seating in seatings]
+            found[0] = replace(found[0], seed_clusters=seed_clusters(names, games, worlds))
         return found
 
     def ranked_match(

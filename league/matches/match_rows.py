@@ -8,7 +8,7 @@ import numpy as np
 
 from agents.rollout.rollout import PlayedEpisodes
 from league.state.jobs import RatingMatch
-from storage.records import ArenaKey, Match, PairCounts, RankedMatch, competition_ranks
+from storage.records import ArenaKey, Match, PairCounts, RankedMatch, SeedCluster, competition_ranks
 
 
 def match_row(
@@ -57,6 +57,25 @@ def ranked_row(
         task.seed, int(games.decisions[worlds].sum()), task.purpose, recording, seconds, task.due,
         _causes(games, worlds[void]),
     )  # fmt: skip
+
+
+def seed_clusters(
+    seatings: Sequence[Sequence[str]], games: PlayedEpisodes, worlds: np.ndarray
+) -> dict[SeedCluster, int]:
+    """Return the seeds from which all seatings of a lineup ended without a void, counted by their rankings.
+
+    Args:
+        seatings: (K,) the names of the snapshots in team order.
+        games: the played episodes.
+        worlds: (K, n) the world in which each seating was played from each seed.
+    """
+    score, void = np.asarray(games.score)[worlds], np.asarray(games.void)[worlds]
+    by_name = np.argsort(np.array(seatings), axis=1, kind="stable")  # equal names are one snapshot
+    place = np.argsort(by_name[0])
+    orders = by_name[:, place]  # the team in which each seating has the snapshots of the first seating's teams
+    alike = np.take_along_axis(-score, orders[:, None], 2)[:, ~void.any(0)]
+    found = Counter(tuple(competition_ranks(tuple(each)) for each in one) for one in alike.swapaxes(0, 1).tolist())
+    return dict(sorted(found.items()))
 
 
 def _alone_at_fault(games: PlayedEpisodes, worlds: np.ndarray) -> np.ndarray:

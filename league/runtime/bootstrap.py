@@ -77,7 +77,7 @@ def validate_stage_starts(where: str, config: Config, stages: list[list[Player]]
     before = _predecessors(where, config)
     for number, players in enumerate(stages):
         try:
-            warm_starts(players, before)
+            warm_starts(players, before, entities=bool(config.learner.architecture.entities))
         except IncompatiblePolicy as error:
             key = ("stages", str(number), "arena") if config.stages else ("after",)
             what = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.after)}"

@@ -31,7 +31,8 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
         before = None  # written by another version of this program
     if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
         return
-    from league.training.learner_factory import new_learner
+    from league.snapshots.skills import check_checkpoint
+    from league.training.learner_factory import new_learner, skills_of
     from league.training.setback import PlayerDiverged
 
     on_cpu = _on_cpu(config)
@@ -42,6 +43,7 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
         state = arrays.from_bytes(store.blobs.get(kept[player.name].digest))
         try:
             new_learner(on_cpu, arena, player).load(state)
+            check_checkpoint(skills_of(on_cpu, arena, player), state)
         except (ValueError, PlayerDiverged) as error:
             raise ConfigError(
                 ("league",),
@@ -55,7 +57,7 @@ def validate_start(store: Store | None, config: Config, arena: "Arena", players:
     from agents.learner.happo import HappoLearner
     from league.training.learner_factory import new_learner
 
-    found = warm_start.of(store, players, config.after, config.learner.critic_input)
+    found = warm_start.of_config(store, players, config)
     for player in players:
         learner = new_learner(_on_cpu(config), arena, player)
         assert isinstance(learner, HappoLearner)  # `validate` refuses others

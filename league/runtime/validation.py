@@ -16,6 +16,7 @@ from league.system import devices, memory
 from league.system.arena_build import build, rating_batch, worlds
 from league.training.reward_shaping import chance_score
 from matchmaking.opponents import Opponents
+from storage.errors import StorageError
 from storage.records import Player
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     _validate_ladder(config, arena)
     _validate_entities(config, arena)
     _validate_pbt(config, teams)
+    _validate_skills(config, arena)
     _validate_learners(config, arena)
     _validate_scripts(config, arena)
     _validate_device(config, arena)
@@ -186,6 +188,21 @@ def _validate_entities(config: Config, arena: "Arena") -> None:
     if width and not any(agent.entities for agent in arena.agents):
         message = f"arena {arena.name} names no sets of entities in its observations; use 0"
         raise refuse(("learner", "architecture", "entities"), width, message)
+
+
+def _validate_skills(config: Config, arena: "Arena") -> None:
+    """Raise ConfigError for skills that cannot act in the arena."""
+    if not config.learner.skill.policies:
+        return
+    from league.snapshots.skills import SkillError, check_skills
+
+    try:
+        check_skills(config.learner.skill, arena)
+    except SkillError as error:
+        name, _, message = str(error).partition(": ")
+        raise ConfigError(("learner", "skill", name), f"learner.skill.{name}: {message}") from None
+    except StorageError as error:
+        raise ConfigError(("learner", "skill", "policies"), f"learner.skill.policies: {error}") from None
 
 
 def _validate_pbt(config: Config, teams: list[str]) -> None:

@@ -2,17 +2,22 @@
 
 They play as a warm start from them would begin (`league.snapshots.warm_start`): inputs that were constant where they
 learnt are ignored (`agents.policy.constant_inputs`). Else each such input, divided by a deviation of zero, would be at
-its limit.
+its limit. Networks that encode sets of entities play where robots see other numbers of them
+(`agents.policy.entity_places`), in teams of other sizes.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agents.policy import entity_places
 from agents.policy.constant_inputs import is_constant
+from arenas.rosters import bare, matching_roster, roster_agents
+from league.config import experiment as configuration
 from league.queries.query import Open
-from league.snapshots.policy_file import Policy, arena_name
+from league.snapshots.policy_file import ExchangeError, Policy, arena_name
 from storage.records import Snapshot
 
 if TYPE_CHECKING:
@@ -36,6 +41,44 @@ def describe_transfer(league: Open, policy: Policy) -> str:
     if not still:
         return f"It learnt in {learnt}, where all its inputs moved."
     return f"It learnt in {learnt}: {still} of its {every} inputs never moved there, and say nothing to it here."
+
+
+def refitted(league: Open, policy: Policy) -> Policy:
+    """Return a policy for a league in which its robots see other numbers of entities, or are more or fewer.
+
+    A policy that fits a side of the league stays as it is, and so does one whose networks encode no sets or whose
+    robots are none of the league's. Else the agents of a side take its agents of their kind in turn, and the league's
+    arena is built, which tells the places of entities. Raises ExchangeError, one line, if the sets differ in more than
+    numbers of entities.
+    """
+    rosters = list(dict.fromkeys(p.roster for p in league.store.players(league.league)))
+    learnt = policy.about["roster"]
+    alike = [roster for roster in rosters if _kinds(roster) == _kinds(learnt)]
+    encoded = all("entities" in agent for agent in policy.about["agents"])
+    if matching_roster(learnt, rosters) or len(alike) != 1 or not encoded:
+        return policy
+    arena = configuration.loads(league.store.league(league.league).config).arena.build()
+    team = next(team for team in arena.teams if bare(team.roster) == bare(alike[0]))
+    taken, found = Counter[str](), dict[str, np.ndarray]()
+    kinds = [agent["kind"] for agent in policy.about["agents"]]
+    for number, agent in enumerate(team.agents):
+        able = [i for i, kind in enumerate(kinds) if kind == agent.kind]
+        source = able[taken[agent.kind] % len(able)]
+        taken[agent.kind] += 1
+        own = {k.removeprefix(f"{source}/"): v for k, v in policy.arrays.items() if k.startswith(f"{source}/")}
+        try:
+            new = entity_places.refitted(
+                own, "", entity_places.places([each.places for each in agent.entities], agent.observation_size)
+            )
+        except ValueError as error:
+            raise ExchangeError(f"The policy is for {learnt}, and the league has {alike[0]}: {error}.") from None
+        found |= {f"{number}/{name}": array for name, array in new.items()}
+    return Policy(found, {**policy.about, "roster": alike[0]})
+
+
+def _kinds(roster: str) -> set[tuple[str, str]]:
+    """Return the kinds of a roster's agents, each with the size of its actions."""
+    return {(agent.partition(":")[0], agent.rpartition(":")[2]) for agent in roster_agents(roster)}
 
 
 def _inputs(found: Mapping[str, np.ndarray], agent: str) -> tuple[int, int]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agents.policy.jax_policy import PolicyStack, act, memory_size, stack_policies, update_memory
+from agents.policy.jax_policy import PolicyStack, decide, memory_size, stack_policies
 from arenas import rosters
 from arenas.contract.environments.opponent import Actions, Opponent, agent_keys, scripted
 from arenas.errors import ArenaError
@@ -107,17 +107,16 @@ def _actor(agents: tuple[str, ...]) -> Any:
     compilation.
     """
 
-    def decide(
+    def let_act(
         stacks: dict[str, PolicyStack], observations: dict[str, Array], keys: Array, memory: Any, first: Array
     ) -> tuple[Actions, Any]:
         actions, after = {}, dict(memory)
         for i, agent in enumerate(agents):
-            if agent in after:
-                after[agent] = update_memory(stacks[agent], observations[agent], after[agent], first)
-            own = agent_keys(keys, i)
-            actions[agent], _ = act(
-                stacks[agent], observations[agent], own, memory=after.get(agent), agent=agent, first=first
-            )
+            own, memory_before = agent_keys(keys, i), after.get(agent)
+            found = decide(stacks[agent], observations[agent], own, memory=memory_before, agent=agent, first=first)
+            actions[agent] = found.actions
+            if found.memory is not None:
+                after[agent] = found.memory
         return actions, after
 
-    return decide
+    return let_act

@@ -46,6 +46,10 @@ def _network(agent: Mapping[str, Any]) -> str:
     limit, by_state = agent["squash"], ", deviation by state" if agent["state_std"] else ""
     gru = f", then a GRU of {agent['recurrent']} units" if agent.get("recurrent") else ""
     squashed = "" if limit is None else f", actions squashed to ±{limit:g}"
+    if over := agent.get("over"):
+        count, every = len(over["skills"]), over["every"]
+        skills = f"{count} skill{'' if count == 1 else 's'}" if count else "no skill"
+        squashed += f"; it commands {skills} with {over['choices']} numbers every {every} decisions"
     return (
         f"{agent['kind']}: sees {agent['observation']} numbers, acts with {agent['action']}; hidden layers {layers},"
         f" {agent['activation']}{norm}{gru}{by_state}{squashed}"

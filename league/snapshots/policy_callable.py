@@ -10,14 +10,15 @@ import numpy as np
 from agents.policy.host_policy import HostPolicy
 from agents.policy.jax_policy import (
     Params,
-    distribution,
+    mean_action,
     memory_size,
     policy_params,
     sample,
     stack_policies,
     update_memory,
 )
-from agents.settings import SQUASH_EDGE
+from agents.policy.skill_arrays import is_over_skills, strategy_of
+from agents.policy.skills import held_choice, skilled_actions
 from league.config import experiment
 from league.snapshots.programs import stored
 from league.snapshots.programs.model import AgentSizes
@@ -92,17 +93,12 @@ def policy_callable(league: "Open", name: str, seed: int = 0) -> PolicyCallable:
 
 
 def _learnt(params: Params) -> Seat:
+    if is_over_skills(params):
+        return _commanding(params)
     stack = stack_policies([params])
     units = memory_size(stack)
     memory = jnp.zeros((0, units))
-
-    @jax.jit
-    def mean(seen: jax.Array, kept: jax.Array | None) -> jax.Array:
-        found, _ = distribution(params, seen, kept)
-        if "squash" not in params:
-            return found
-        return params["squash"] * jnp.clip(jnp.tanh(found / params["squash"]), -SQUASH_EDGE, SQUASH_EDGE)
-
+    mean = jax.jit(lambda seen, kept: mean_action(params, seen, kept))
     drawn, remembered = jax.jit(lambda *given: sample(params, *given)[0]), jax.jit(update_memory)
 
     def act(observations: np.ndarray, key: jax.Array, first: np.ndarray, explore: bool) -> np.ndarray:
@@ -112,6 +108,29 @@ def _learnt(params: Params) -> Seat:
             before = memory if len(memory) == len(seen) else jnp.zeros((len(seen), units))
             memory = kept = remembered(stack, seen, before, jnp.asarray(first))
         answer = drawn(seen, jax.random.split(key, len(seen)), kept) if explore else mean(seen, kept)
+        return np.asarray(answer)
+
+    return act
+
+
+def _commanding(params: Params) -> Seat:
+    """Return a policy over skills; with `explore` its commands are drawn, and its skills act by their means."""
+    strategy, size = strategy_of(params), memory_size(stack_policies([params]))
+    memory = jnp.zeros((0, size))
+
+    @jax.jit
+    def go_on(new: jax.Array, seen: jax.Array, before: jax.Array, first: jax.Array) -> tuple[jax.Array, jax.Array]:
+        choice, after = held_choice(params, new, before, first)
+        return skilled_actions(params, seen, choice, mean_action), after
+
+    mean, drawn = (jax.jit(lambda *given, f=f: f(strategy, *given)) for f in (mean_action, sample))
+
+    def act(observations: np.ndarray, key: jax.Array, first: np.ndarray, explore: bool) -> np.ndarray:
+        nonlocal memory
+        seen = jnp.asarray(observations)
+        before = memory if len(memory) == len(seen) else jnp.zeros((len(seen), size))
+        new = drawn(seen, jax.random.split(key, len(seen)))[0] if explore else mean(seen)
+        answer, memory = go_on(new, seen, before, jnp.asarray(first))
         return np.asarray(answer)
 
     return act

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from agents.policy.skill_arrays import PREFIX, strategy_of
 from arenas.rosters import bare, roster_agents
 from league.config import toml
+from league.config.experiment import Config
 from league.config.sections import Rating
 from league.queries.league_settings import LeagueSettings
 from league.scheduling.stage_completion import handed_on
@@ -51,19 +53,20 @@ class IncompatiblePolicy(ValueError):  # noqa: N818  (named after the policy)
 
 
 def warm_starts(
-    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own"
+    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own", entities: bool = False
 ) -> dict[str, WarmStart]:
     """Return the sources of each player; `before` are the players of other leagues, the nearest league first.
 
     A critic and its value normaliser continue if all actors come from one player and that player had the same roster:
     then the critic's input fits. A critic that sees all teams needs equal rosters of all teams, and one that judges for
     all teams needs the same roster for each of them. A critic that sees the whole state starts from scratch, because
-    another arena has another state. Raises IncompatiblePolicy, one line with both sizes.
+    another arena has another state. Where networks encode `entities`, observations may have other sizes: if they differ
+    in more than numbers of entities, `start` says so. Raises IncompatiblePolicy, one line with both sizes.
     """
     taken: dict[str, int] = {}  # kind -> number of its agents that have a source already
     found = {}
     for player in players:
-        actors = tuple(_source(agent, before, taken) for agent in roster_agents(player.roster))
+        actors = tuple(_source(agent, before, taken, entities) for agent in roster_agents(player.roster))
         critic = _critic(player, actors, before)
         if critic and not _fits(critic_input, player, players, *_of(before, critic)):
             critic = None
@@ -71,7 +74,9 @@ def warm_starts(
     return found
 
 
-def _source(agent: str, before: Sequence[Sequence[Player]], taken: dict[str, int]) -> Source | None:
+def _source(
+    agent: str, before: Sequence[Sequence[Player]], taken: dict[str, int], entities: bool
+) -> Source | None:  # fmt: skip
     kind = _kind(agent)
     for league in before:
         able = [
@@ -83,10 +88,11 @@ def _source(agent: str, before: Sequence[Sequence[Player]], taken: dict[str, int
         if able:
             source, other = able[taken.get(kind, 0) % len(able)]
             taken[kind] = taken.get(kind, 0) + 1
-            if other != agent:
+            if other != agent and not (entities and _acts(other) == _acts(agent)):
                 raise IncompatiblePolicy(
                     f"{kind} {_sizes(agent)} here, and {_sizes(other)} in {source.league}: give both the same"
-                    " observation (arena.buffer, say, in each stage), or its players no forerunner"
+                    " observation (arena.buffer, say, in each stage), encode what differs in number as sets"
+                    " (learner.architecture.entities), or its players no forerunner"
                 )
             return source
     return None
@@ -123,6 +129,10 @@ def _rosters(player: Player, league: Sequence[Player]) -> list[str]:
 
 def _kind(agent: str) -> str:
     return agent.partition(":")[0]
+
+
+def _acts(agent: str) -> str:
+    return agent.rpartition(":")[2]
 
 
 def _sizes(agent: str) -> str:
@@ -173,18 +183,25 @@ def _shipped_player(name: str) -> Player:
 
 
 def of(
-    store: Store | None, players: Sequence[Player], after: Sequence[str], critic_input: str = "own"
-) -> dict[str, WarmStart]:
+    store: Store | None, players: Sequence[Player], after: Sequence[str], critic_input: str = "own",
+    entities: bool = False,
+) -> dict[str, WarmStart]:  # fmt: skip
     """Return the sources of the players of a league, among the leagues and policies named in `after`.
 
-    `store` is None for a new store. A critic with another kind of input starts from scratch. Raises UnknownName as
-    `forerunners` does, IncompatiblePolicy as `warm_starts` does.
+    `store` is None for a new store. A critic with another kind of input starts from scratch. `entities` is that of
+    `warm_starts`. Raises UnknownName as `forerunners` does, IncompatiblePolicy as `warm_starts` does.
     """
     order = sorted(players, key=lambda p: (p.role != "main", p.team, p.name))
     return {
         name: each._replace(critic=None) if each.critic and _saw(store, each.critic[0]) != critic_input else each
-        for name, each in warm_starts(order, forerunners(store, after), critic_input).items()
+        for name, each in warm_starts(order, forerunners(store, after), critic_input, entities).items()
     }
+
+
+def of_config(store: Store | None, players: Sequence[Player], config: Config) -> dict[str, WarmStart]:
+    """Return the sources of the players of a league with these settings, as `of` does."""
+    learner = config.learner
+    return of(store, players, config.after, learner.critic_input, bool(learner.architecture.entities))
 
 
 def _saw(store: Store | None, league: str) -> str:
@@ -218,7 +235,7 @@ def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[
     kept = store.checkpoint(league, player)
     if kept is None:
         raise StorageError(f"player {player} of league {league} has no checkpoint to start from")
-    state = arrays.from_bytes(store.blobs.get(kept.digest))
+    state = strategy_of(arrays.from_bytes(store.blobs.get(kept.digest)))  # its skills are not taken over
     if found := _best(store, league, player):
         snapshot, _ = found
         return f"{league}/{snapshot.name}", {**state, **_named(arrays.from_bytes(store.blobs.get(snapshot.digest)))}
@@ -253,8 +270,9 @@ def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.nda
 
 
 def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return a snapshot's arrays by their names in a learner's state."""
-    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in policies.items()}
+    """Return a snapshot's arrays by their names in a learner's state, which has no skills."""
+    learnt = {name: array for name, array in policies.items() if not name.partition("/")[2].startswith(PREFIX)}
+    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in learnt.items()}
 
 
 def _arrays_of(policy: policy_file.Policy) -> dict[str, np.ndarray]:

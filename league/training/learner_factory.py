@@ -12,13 +12,14 @@ from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.learner import checkpoint
 from agents.learner.happo import HappoLearner
 from agents.rollout.rollout import Trajectory
-from agents.settings import HAPPO, HappoConfig
+from agents.settings import HAPPO, HappoConfig, SkillSettings
 from arenas.arena import Arena
 from arenas.arena_settings import Table
 from arenas.state import TeamSpec
 from league.config.experiment import Config
 from league.config.sections import named_players
 from league.snapshots import warm_start
+from league.snapshots.skills import TeamSkills, team_skills
 from league.training.own_learner import LearnerSource, OwnLearner
 from storage.records import Player, Snapshot
 from storage.store import Store
@@ -37,7 +38,23 @@ def settings_of(config: Config, player: Player) -> HappoConfig:
         same = own.class_ in (None, settings.class_)
         given = Table({**(settings.settings if same else {}), **own.settings})
         settings = replace(settings, class_=own.class_ or settings.class_, settings=given)
+        if own.flat:
+            settings = replace(settings, skill=SkillSettings())
     return settings
+
+
+def skills_of(config: Config, arena: Arena, player: Player) -> TeamSkills | None:
+    """Return the skills through which a player's agents act, None if they act by themselves.
+
+    Raises SkillError or StorageError for skills that cannot act in the arena.
+    """
+    return team_skills(settings_of(config, player).skill, arena, arena.teams[player.team])
+
+
+def learning_team(config: Config, arena: Arena, player: Player) -> TeamSpec:
+    """Return a player's team as its learner sees it: over skills, agents act with commands."""
+    skills = skills_of(config, arena, player)
+    return arena.teams[player.team] if skills is None else skills.team
 
 
 def new_learner(
@@ -53,18 +70,21 @@ def new_learner(
     """
     settings = replace(settings_of(config, player), **(moved or {}))
     seed = crc32(f"{config.seed}/{player.name}".encode())
+    team = learning_team(config, arena, player)
     if settings.class_ != HAPPO:
-        team, device = arena.teams[player.team], config.training.device
+        device = config.training.device
         return OwnLearner(player.name, LearnerSource(settings.class_, settings.settings, team, seed, device))
-    return _new_happo_learner(config, arena, player, settings, seed, comm)
+    if team is arena.teams[player.team]:
+        settings = replace(settings, skill=SkillSettings())  # nobody in it has a skill: it learns each decision
+    return _new_happo_learner(config, arena, player.team, team, settings, seed, comm)
 
 
 def _new_happo_learner(
-    config: Config, arena: Arena, player: Player, settings: HappoConfig, seed: int, comm: Communicator
+    config: Config, arena: Arena, number: int, team: TeamSpec, settings: HappoConfig, seed: int, comm: Communicator
 ) -> HappoLearner:
-    agents = arena.teams[player.team].agents
+    agents = team.agents
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
-    other_sizes = [a.observation_size for team in others(config, arena, player.team) for a in team.agents]
+    other_sizes = [a.observation_size for other in others(config, arena, number) for a in other.agents]
     kinds, sees = [a.kind for a in agents], settings.critic_input
     critic_size = {"privileged": sum(sizes[0]) + arena.privileged_size, "same": common_critic_size(arena.teams)}.get(
         sees, 0
@@ -99,14 +119,19 @@ def reset_learner(
 
 def batch_of(
     config: Config, arena: Arena, player: Player, trajectory: Trajectory, worlds: slice | np.ndarray = slice(None),
-    shaping: float = 0.0, critic_memories: CriticMemories = (),
+    shaping: float = 0.0, critic_memories: CriticMemories = (), skills: TeamSkills | None = None,
+    gamma: float = 1.0,
 ) -> Batch:  # fmt: skip
-    """Return a player's part of a trajectory with the critic input that the settings choose; see `team_batch`."""
+    """Return a player's part of a trajectory with the critic input that the settings choose; see `team_batch`.
+
+    With `skills` it has a row for each of their commands, whose rewards are discounted by `gamma` per decision.
+    """
     sees = config.learner.critic_input
+    team, every = (arena.teams[player.team], 1) if skills is None else (skills.team, config.learner.skill.clock)
     return team_batch(
-        trajectory, arena.teams[player.team], player.team, worlds, shaping,
+        trajectory, team, player.team, worlds, shaping,
         others=others(config, arena, player.team), privileged=sees == "privileged",
-        common=arena.teams if sees == "same" else (), critic_memories=critic_memories,
+        common=arena.teams if sees == "same" else (), critic_memories=critic_memories, every=every, gamma=gamma,
     )  # fmt: skip
 
 

@@ -10,15 +10,16 @@ from agents.bridge import to_jax
 from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.learner.happo import HappoLearner
 from agents.policy.host_policy import HostPolicy
-from agents.policy.jax_policy import policy_params
+from agents.policy.jax_policy import Params, policy_params
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.scheduling import player_resets, population
 from league.snapshots.codec import Policy, freeze
 from league.state.jobs import TrainingTurn
 from league.training import reward_shaping
-from league.training.learner_factory import new_learner, reset_learner, settings_of
+from league.training.learner_factory import new_learner, reset_learner, settings_of, skills_of
 from league.training.own_learner import OwnLearner
+from league.training.setback import PlayerDiverged
 from league.training.update_pool import UpdatePool
 from matchmaking.pbt import explore
 from matchmaking.roles import Role
@@ -46,6 +47,8 @@ class LearnerPool:
         self.league = players[0].league
         self.players = {player.name: player for player in players}
         self.learners = {player.name: new_learner(config, arena, player, comm) for player in players}
+        self.skills = {player.name: skills_of(config, arena, player) for player in players}
+        self._skill_params = {name: self._params_of_skills(name) for name in self.skills}
         self.counters = {player.name: Counters() for player in players}
         self.histories: Mapping[str, list[Snapshot]] = {}  # of the players of the turn, oldest first
         self.updates = UpdatePool(list(self.learners.values()))
@@ -68,6 +71,11 @@ class LearnerPool:
     def judges(self, name: str) -> bool:
         """Return whether a player has a critic of our own, which can learn apart from its policy and judge episodes."""
         return isinstance(self.learners[name], HappoLearner)
+
+    def gamma(self, name: str) -> float:
+        """Return a player's discount factor per decision of the arena."""
+        learner = self.learners[name]
+        return learner.config.gamma if isinstance(learner, HappoLearner) else self.config.learner.gamma
 
     def spent(self, turn: TrainingTurn) -> bool:
         """Return whether the group has used up its budget; `LeagueState.spent` computes the same from the store."""
@@ -119,6 +127,9 @@ class LearnerPool:
         state = arrays.from_bytes(store.blobs.get(digest))
         self._move(name, self._initial_values(name) | population.read(state, self._movable))
         self.learners[name].load(state)
+        if (skills := self.skills[name]) is not None:
+            skills.load(state)
+            self._skill_params[name] = self._params_of_skills(name)
         if annealing := self._annealing[name]:
             annealing.load(state)
         if retry:
@@ -129,6 +140,8 @@ class LearnerPool:
         at, annealing = self.counters[name], self._annealing[name]
         moved = population.written(self.moved(name))
         state = self.learners[name].save() | moved | (annealing.state() if annealing else {})
+        if (skills := self.skills[name]) is not None:
+            state |= skills.state()
         if isinstance(self.learners[name], OwnLearner):  # it may have learnt nothing, and each checkpoint has a digest
             state |= {ITERATION: np.array(at.iteration)}
         digest = store.blobs.put(arrays.to_bytes(state))
@@ -139,12 +152,15 @@ class LearnerPool:
         self._at |= {checkpoint.player: checkpoint.digest for checkpoint in checkpoints}
 
     def freeze(self, name: str) -> bytes:
-        """Encode a player's present actors as bytes, which later updates cannot change."""
-        learner = self.learners[name]
-        if isinstance(learner, OwnLearner):
-            policies = learner.export()
-            return policies if isinstance(policies, bytes) else freeze(policies)
-        return freeze([{key: tensor.cpu().numpy() for key, tensor in policy.items()} for policy in learner.export()])
+        """Encode a player's present policies as bytes, which later updates cannot change."""
+        learner, skills = self.learners[name], self.skills[name]
+        found = learner.export()
+        if isinstance(found, bytes):
+            if skills is not None:
+                raise self._no_strategy(name)
+            return found
+        policies = [{k: v if isinstance(v, np.ndarray) else v.cpu().numpy() for k, v in each.items()} for each in found]
+        return freeze(policies if skills is None else skills.joined(policies))
 
     def ways(self, name: str) -> list[list[Policy]]:
         """Return all forms of policies by which a player's agents may act, now or as a snapshot."""
@@ -155,9 +171,27 @@ class LearnerPool:
         """Return the policies by which a player's agents act in the next rollout, in which it learns or only plays."""
         learner = self.learners[name]
         if isinstance(learner, HappoLearner):
-            return [*to_jax(learner.act())]
-        found = learner.act() if learns else learner.play()
-        return [each if isinstance(each, HostPolicy) else policy_params(each) for each in found]
+            found: list[Policy] = [*to_jax(learner.act())]
+        else:
+            given = learner.act() if learns else learner.play()
+            found = [each if isinstance(each, HostPolicy) else policy_params(each) for each in given]
+        if (own := self._skill_params[name]) is None:
+            return found
+        return [self._joined(name, policy, params) for policy, params in zip(found, own, strict=True)]
+
+    def _joined(self, name: str, strategy: Policy, skills: Params) -> Params:
+        if not isinstance(strategy, dict) or "gru.weight_hh" in strategy:
+            raise self._no_strategy(name)
+        return strategy | skills
+
+    def _no_strategy(self, name: str) -> PlayerDiverged:
+        what = "commands skills (learner.skill), which state dicts of an Actor without memory can alone"
+        return PlayerDiverged(name, f"its learner {what}", "failed")
+
+    def _params_of_skills(self, name: str) -> list[Params] | None:
+        """Return the arrays of a player's skills on the device, by agent."""
+        skills = self.skills[name]
+        return None if skills is None else [policy_params(own) for own in skills.arrays]
 
     # Going on from others --------------------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from arenas.arena_settings import Table
 from arenas.contract.error_location import describe_error
 from arenas.errors import ArenaError
 from arenas.state import TeamSpec
-from league.snapshots.policy_file import agents_of
+from league.snapshots.exports.networks import agents_of
 from league.snapshots.programs import stored
 from league.snapshots.programs.model import ProgramError
 from league.system.memory import is_short

@@ -229,7 +229,7 @@ class Trainer:
     def _batch(self, name: str, trajectory: Trajectory, matchups: Matchups) -> Batch:
         return batch_of(
             self.config, self.arena, self.pool.players[name], trajectory, matchups.worlds_of(name),
-            self.pool.shaping(name), self._critic_memories.get(name, ()),
+            self.pool.shaping(name), self._critic_memories.get(name, ()), self.pool.skills[name], self.pool.gamma(name),
         )  # fmt: skip
 
     def _count(

@@ -82,7 +82,7 @@ class TurnFinalizer:
         """Make the players of the turn: initialised by their seeds, or by warm starts from the preceding leagues."""
         config, players = self.config, list(self.pool.players.values())
         if config.after:
-            found = warm_start.of(store, players, config.after, config.learner.critic_input)
+            found = warm_start.of_config(store, players, config)
             for name in self.turn.learners:
                 learner = self.pool.learners[name]
                 assert isinstance(learner, HappoLearner)  # others were refused

@@ -8,41 +8,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from matchmaking.ratings.davidson import Likelihood, Outcome, expected_score
+from matchmaking.ratings.davidson import Likelihood, expected_score
 from matchmaking.ratings.likelihoods import priors, undefeated
 from matchmaking.ratings.likelihoods.covariance import StrengthCovariance
+from matchmaking.ratings.likelihoods.dispersion import Clusters, of_pairs, of_rankings
 from matchmaking.ratings.likelihoods.penalised import PenalisedLikelihood, maximise
 from matchmaking.ratings.likelihoods.priors import Prior
 from matchmaking.ratings.payoff import Payoff
 from matchmaking.ratings.plackett_luce import PlackettLuce
-from matchmaking.ratings.scores import PAIR_SCORES, quantile
+from matchmaking.ratings.scores import quantile
 
 ELO = 400 / math.log(10)  # Elo points per unit of log odds: 400 points are odds of 10 wins to 1 loss
-DISPERSION_PRIOR = 2.0  # virtual variance, of four decisive seed pairs between equals, with the pooled dispersion
-
-
-class Clusters(NamedTuple):
-    """Games that share a start, so that their scores are correlated: M kinds of clusters between two snapshots."""
-
-    edge: np.ndarray  # (M,) int: index of the payoff's pair
-    home: np.ndarray  # (M,) games in which its first snapshot played team 0
-    away: np.ndarray  # (M,) games in which its second snapshot did
-    score: np.ndarray  # (M,) of its first, summed over the cluster
-    number: np.ndarray  # (M,) clusters of this kind
-
-    @classmethod
-    def of(cls, payoff: Payoff) -> "Clusters":
-        """Return the seed pairs of a payoff."""
-        edge, score = np.nonzero(payoff.pairs)
-        one = np.ones(len(edge))
-        return cls(edge, one, one, 2 * PAIR_SCORES[score], payoff.pairs[edge, score].astype(float))
-
-
-NO_CLUSTERS = Clusters(np.zeros(0, int), *(np.zeros(0) for _ in range(4)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +175,8 @@ def fit(
     the same for two players (`matchmaking.ratings.plackett_luce`).
 
     The objective is concave. The interval is normal, from the covariance H⁻¹ B H⁻¹ (Huber 1967, White 1982): H is the
-    information, B counts each pair's information times the dispersion of its seed pairs, see `_dispersion`.
+    information, B counts the information of each pair, or of each lineup of more, times the dispersion of its seed
+    clusters, see `matchmaking.ratings.likelihoods.dispersion`.
 
     Args:
         payoff: counts of all games.
@@ -209,7 +189,7 @@ def fit(
             `anchor_elo`, or all of its snapshots that have played if it has none.
         confidence: of the intervals, between 0 and 1.
         sides: fit a side advantage.
-        clusters: games that share a start; the payoff's seed pairs if None.
+        clusters: games of two that share a start; the payoff's seed pairs if None.
 
     Raises:
         ValueError: a negative prior, an anchor that is not in the payoff, confidence outside (0, 1).
@@ -218,11 +198,14 @@ def fit(
     z, P = quantile(confidence), len(payoff.names)
     chosen_prior = _prior(payoff, prior)
     labels, population, weights = _anchor_weights(payoff, anchors, populations or {})
-    ranked, problem = bool(payoff.rankings), likelihood(payoff, chosen_prior, sides)
+    problem = likelihood(payoff, chosen_prior, sides)
     x = maximise(problem) if chosen_prior.any() or not P else undefeated.maximum(problem, payoff)
     terms = problem.terms(x)
     common = weights.mean(0)
-    dispersion = np.ones(len(problem.home)) if ranked else _dispersion(payoff, terms, clusters or Clusters.of(payoff))
+    if isinstance(problem, PlackettLuce):
+        dispersion = of_rankings(problem, terms, payoff.rankings)
+    else:
+        dispersion = of_pairs(payoff, terms, Clusters.of(payoff) if clusters is None else clusters)
     strength_covariance = StrengthCovariance(problem, x, terms, dispersion, common)
     theta = ELO * x[:P]
     means, played = weights @ theta, payoff.played
@@ -268,25 +251,3 @@ def _anchor_weights(
     for fitting in (own & played, own & pinned):  # the last one with a snapshot of a population counts
         own = np.where(fitting.any(1, keepdims=True), fitting, own)
     return labels, population, own / np.maximum(own.sum(1, keepdims=True), 1)
-
-
-def _dispersion(payoff: Payoff, terms: Outcome, clusters: Clusters) -> np.ndarray:
-    """Return the dispersion (D,): the variance of a pair's scores relative to that of independent games.
-
-    The games of a cluster, such as the two of a seed pair, share a start, so their scores are correlated. The residual
-    of a cluster's score S is S - E S; its mean square over the clusters of two snapshots, divided by the model's
-    variance, is their dispersion (as in quasi-likelihood, McCullagh and Nelder 1989, section 4.5). Few clusters, or
-    clusters with certain results, tell little of it: it is shrunk to the dispersion pooled over the whole payoff, which
-    is shrunk to 1 in the same way. Games outside clusters have dispersion 1.
-    """
-    E, (edge, home, away, score, number) = len(payoff.first), clusters
-    first, second = slice(None, E), slice(E, None)
-    mean = home * terms.score[first][edge] + away * (1 - terms.score[second][edge])
-    strength_covariance = home * terms.score_variance[first][edge] + away * terms.score_variance[second][edge]
-    variance = np.bincount(edge, number * strength_covariance, E)
-    square = np.bincount(edge, number * (score - mean) ** 2, E)
-    pooled = (square.sum() + DISPERSION_PRIOR) / (variance.sum() + DISPERSION_PRIOR)
-    per_pair = (square + DISPERSION_PRIOR * pooled) / (variance + DISPERSION_PRIOR)
-    clustered = np.concatenate([np.bincount(edge, number * n, E) for n in (home, away)])
-    share = clustered / np.maximum(np.concatenate([payoff.home.sum(1), payoff.away.sum(1)]), 1)
-    return 1 + share * (np.tile(per_pair, 2) - 1)

@@ -6,7 +6,7 @@ For two players the choice of the best is exp(d/2) : δ_2 : exp(-d/2), so ν = �
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 
@@ -16,7 +16,7 @@ from matchmaking.ratings.likelihoods.choice_sets import ChoiceSets, Values
 from matchmaking.ratings.likelihoods.information import MAX_DENSE
 from matchmaking.ratings.likelihoods.penalised import Moments, PenalisedLikelihood
 from matchmaking.ratings.likelihoods.priors import Prior
-from matchmaking.ratings.rankings import MAX_TABLE, Rankings
+from matchmaking.ratings.rankings import MAX_TABLE, Block, Rankings
 
 
 @dataclass(eq=False)
@@ -24,8 +24,8 @@ class RankingTerms:
     """The model at some parameters; derivatives are computed when they are first asked for."""
 
     values: Sequence[Values]
-    slope: np.ndarray | None = field(default=None)
-    moments: Moments | None = field(default=None)
+    theta: np.ndarray  # (P,)
+    derivatives: tuple[np.ndarray, Moments] | None = None
 
 
 class PlackettLuce(PenalisedLikelihood):
@@ -41,8 +41,8 @@ class PlackettLuce(PenalisedLikelihood):
         self.orders = (2, *(k for k in seen if k > 2))
         self.free = np.append(np.ones(size, bool), [False, 2 in seen, *[True] * (len(self.orders) - 1)])
         self._fitted = [place for place, k in enumerate(self.orders) if k in seen]
-        self._sets = [ChoiceSets(block, (1, *seen)) for block in rankings.blocks]
-        self._numbers = [block.number for block in rankings.blocks]
+        self._blocks, self._sizes = rankings.blocks, (1, *seen)
+        self._sets = [ChoiceSets(block, self._sizes) for block in rankings.blocks]
         met, self._places = self._pairs_that_met()
         self.home, self.away = np.divmod(met, max(size, 1))
 
@@ -64,8 +64,8 @@ class PlackettLuce(PenalisedLikelihood):
     @cached_property
     def _weights(self) -> np.ndarray:
         found = np.zeros(len(self.home))
-        for of, number in zip(self._places, self._numbers, strict=True):
-            found += np.bincount(of.ravel(), np.broadcast_to(number, of.shape).ravel(), len(found))
+        for of, block in zip(self._places, self._blocks, strict=True):
+            found += np.bincount(of.ravel(), np.broadcast_to(block.number, of.shape).ravel(), len(found))
         return found
 
     def start(self) -> np.ndarray:
@@ -88,7 +88,7 @@ class PlackettLuce(PenalisedLikelihood):
         """Return the model at parameters (P + T,)."""
         P = self.size
         log_delta = np.append(0.0, x[P + 1 :][self._fitted])
-        return RankingTerms([each.evaluate(x[:P], log_delta) for each in self._sets])
+        return RankingTerms([each.evaluate(x[:P], log_delta) for each in self._sets], x[:P])
 
     def of_games(self, terms: RankingTerms) -> float:
         """Return the log-likelihood of the rankings alone."""
@@ -96,24 +96,41 @@ class PlackettLuce(PenalisedLikelihood):
 
     def slope(self, terms: RankingTerms) -> np.ndarray:
         """Return the derivative (P + T,) of the log-likelihood."""
-        self._derive(terms)
-        assert terms.slope is not None
-        return terms.slope.copy()
+        return self._derived(terms)[0].copy()
 
     def moments(self, terms: RankingTerms, dispersion: np.ndarray | None) -> Moments:
-        """Return the information of the rankings; dispersion is None or 1, since rankings have no clusters yet."""
-        self._derive(terms)
-        assert terms.moments is not None
-        return terms.moments
+        """Return the information of the rankings; each counts times its `dispersion` (R,) if given, block by block."""
+        if dispersion is None or (dispersion == 1).all():
+            return self._derived(terms)[1]
+        ends = np.cumsum([len(block.number) for block in self._blocks])[:-1]
+        weights = zip(self._blocks, np.split(dispersion, ends), strict=True)
+        dispersed = [ChoiceSets(block._replace(number=block.number * each), self._sizes) for block, each in weights]
+        return self._derive(dispersed, terms.values)[1]
 
-    def _derive(self, terms: RankingTerms) -> None:
-        if terms.slope is not None:
-            return
+    def scores_of(self, terms: RankingTerms, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (R, n) of rankings by their players' strengths, and the weights (R,) of their pairs.
+
+        The weight of a ranking is the sum over its pairs of different players, times its number.
+        """
+        sets = ChoiceSets(block, self._sizes)
+        values = sets.evaluate(terms.theta, terms.values[0].log_delta)
+        different = sets.players[sets.ahead] != sets.players[sets.behind]
+        found = [(rows, sets.derive(values, rows)) for rows in sets.parts()]
+        residual = np.concatenate([each.residual for _, each in found], 1)
+        return residual.T, np.concatenate([(different[:, rows] * each.pairs).sum(0) for rows, each in found])
+
+    def _derived(self, terms: RankingTerms) -> tuple[np.ndarray, Moments]:
+        if terms.derivatives is None:
+            terms.derivatives = self._derive(self._sets, terms.values)
+        return terms.derivatives
+
+    def _derive(self, sets: Sequence[ChoiceSets], of: Sequence[Values]) -> tuple[np.ndarray, Moments]:
+        """Return the derivative (P + T,) of the log-likelihood, and the information."""
         P, D, T = self.size, len(self.home), len(self.orders) + 1
         tied = [1 + place for place in self._fitted]  # of the shared parameters
         slope, strength = np.zeros(P + T), np.zeros(D)
         shared, block = np.zeros((T, D)), np.zeros((T, T))
-        for each, values, places in zip(self._sets, terms.values, self._places, strict=True):
+        for each, values, places in zip(sets, of, self._places, strict=True):
             slope[[P + place for place in tied]] += each.ties
             for rows in each.parts():
                 found, place = each.derive(values, rows), places[:, rows].ravel()
@@ -125,7 +142,7 @@ class PlackettLuce(PenalisedLikelihood):
                     shared[column] += np.bincount(place, (turned * flow).ravel(), D)
                 slope[[P + place for place in tied]] -= found.ties
                 block[np.ix_(tied, tied)] += found.tie_covariance
-        terms.slope, terms.moments = slope, Moments(strength, shared.T, block)
+        return slope, Moments(strength, shared.T, block)
 
     def _pairs_that_met(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the pairs that met as ascending numbers (D,), and the place (C, R) in it of each pair of positions."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from storage.records import LineupTotals, RankedMatch
+from storage.records import LineupTotals, RankedMatch, SeedCluster
 
 MAX_TABLE = 4_000_000
 """Maximum number P² of pairs that are counted in a table; above, they are sorted."""
@@ -23,11 +23,29 @@ class Block(NamedTuple):
     number: np.ndarray  # (R,) int: how often each occurred
 
 
+class ClusterBlock(NamedTuple):
+    """Kinds of seed clusters: k rankings of the same n players, of games that share a seed. C is their number."""
+
+    players: np.ndarray  # (C, k, n) int: of each ranking from best to worst; tied players by index
+    ranks: np.ndarray  # (C, k, n) int, as in Block
+    number: np.ndarray  # (C,) int: how often each occurred
+
+    @property
+    def rankings(self) -> Block:
+        """The rankings (C k) of all clusters, each once."""
+        n = self.players.shape[2]
+        return Block(self.players.reshape(-1, n), self.ranks.reshape(-1, n), np.ones(self.players[..., 0].size, int))
+
+
 @dataclass(frozen=True, eq=False)
 class Rankings:
-    """Different rankings and their numbers, by number of players. They do not depend on the order of games."""
+    """Different rankings and their numbers, by number of players. They do not depend on the order of games.
+
+    `clusters` are those of the rankings' games that share a seed, by numbers of rankings and of players.
+    """
 
     blocks: tuple[Block, ...] = ()
+    clusters: tuple[ClusterBlock, ...] = ()
 
     def __bool__(self) -> bool:
         return bool(self.blocks)
@@ -36,12 +54,22 @@ class Rankings:
     def of(cls, lineups: Mapping[tuple[str, ...], LineupTotals], place: Mapping[str | None, int]) -> "Rankings":
         """Return the rankings of lineups; `place` has the index of each snapshot."""
         rows: dict[int, list[tuple[list[int], tuple[int, ...], int]]] = {}
+        shared: dict[tuple[int, int], list[tuple[list[list[int]], SeedCluster, int]]] = {}
         for snapshots, totals in lineups.items():
             players = [place[name] for name in snapshots]
+            if len(set(players)) < 2:  # a snapshot against itself alone says nothing of strength
+                continue
             for ranks, number in totals.rankings.items():
-                if number and len(set(players)) > 1:  # a snapshot against itself alone says nothing of strength
+                if number:
                     rows.setdefault(len(players), []).append((players, ranks, number))
-        return cls._merged([_sorted(*map(np.array, zip(*some, strict=True))) for some in rows.values()])
+            for cluster, number in totals.seed_clusters.items():
+                if number:
+                    k = len(cluster)
+                    shared.setdefault((k, len(players)), []).append(([players] * k, cluster, number))
+        return cls._merged(
+            [Block(*_sorted(*map(np.array, zip(*some, strict=True)))) for some in rows.values()],
+            [ClusterBlock(*_sorted(*map(np.array, zip(*some, strict=True)))) for some in shared.values()],
+        )
 
     @classmethod
     def of_events(cls, event: np.ndarray, player: np.ndarray, place: np.ndarray) -> "Rankings":
@@ -68,11 +96,16 @@ class Rankings:
 
     def renumbered(self, now: np.ndarray) -> "Rankings":
         """Return the rankings with player i as player `now[i]`."""
-        return Rankings._merged([_sorted(now[each.players], each.ranks, each.number) for each in self.blocks])
+        return Rankings._merged(
+            [Block(*_sorted(now[each.players], each.ranks, each.number)) for each in self.blocks],
+            [ClusterBlock(*_sorted(now[each.players], each.ranks, each.number)) for each in self.clusters],
+        )
 
     def plus(self, other: "Rankings") -> "Rankings":
         """Return these and other rankings of the same players."""
-        return Rankings._merged([*self.blocks, *other.blocks]) if other and self else (self or other)
+        if not (self and other):
+            return self or other
+        return Rankings._merged([*self.blocks, *other.blocks], [*self.clusters, *other.clusters])
 
     def episodes(self, size: int) -> np.ndarray:
         """Return the number (P,) of games of each player."""
@@ -122,20 +155,12 @@ class Rankings:
                 yield key[a != b], many[a != b]
 
     @classmethod
-    def _merged(cls, blocks: Iterable[Block]) -> "Rankings":
-        """Return rankings with one block for each number of players, in which each ranking is there once."""
-        of_size: dict[int, list[Block]] = {}
-        for block in blocks:
-            of_size.setdefault(block.players.shape[1], []).append(block)
-        found = []
-        for n, some in sorted(of_size.items()):
-            rows = np.concatenate([np.concatenate([each.players, each.ranks], 1) for each in some])
-            order = np.lexsort(rows.T[::-1])
-            rows, count = rows[order], np.concatenate([each.number for each in some])[order]
-            starts = np.flatnonzero(np.append(True, (rows[1:] != rows[:-1]).any(1)))
-            kept = rows[starts]
-            found.append(Block(kept[:, :n], kept[:, n:], np.add.reduceat(count, starts)))
-        return cls(tuple(found))
+    def _merged(cls, blocks: Iterable[Block], clusters: Iterable[ClusterBlock] = ()) -> "Rankings":
+        """Return rankings with one block for each shape, in which each ranking and each cluster is there once."""
+        return cls(
+            tuple(Block(*each) for each in _each_once(blocks)),
+            tuple(ClusterBlock(*each) for each in _each_once(map(_canonical, clusters))),
+        )
 
 
 NO_RANKINGS = Rankings()
@@ -179,10 +204,33 @@ def pair_rows(
     return np.concatenate([met, np.array(voids, np.int64).reshape(-1, 16)])
 
 
-def _sorted(players: np.ndarray, ranks: np.ndarray, count: np.ndarray) -> Block:
-    """Return rankings in canonical order, from best to worst, and tied players by index."""
+def _sorted(players: np.ndarray, ranks: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rankings in canonical order, from best to worst along the last axis, and tied players by index."""
     order = np.lexsort((players, ranks))
-    return Block(np.take_along_axis(players, order, 1), np.take_along_axis(ranks, order, 1), count)
+    return np.take_along_axis(players, order, -1), np.take_along_axis(ranks, order, -1), count
+
+
+def _canonical(block: ClusterBlock) -> ClusterBlock:
+    """Return clusters with their rankings in ascending order: which seats the players had does not matter."""
+    rows = np.concatenate([block.players, block.ranks], 2)
+    order = np.lexsort(rows.transpose(2, 0, 1)[::-1])[:, :, None]
+    players, ranks = (np.take_along_axis(each, order, 1) for each in block[:2])
+    return ClusterBlock(players, ranks, block.number)
+
+
+def _each_once(blocks: Iterable[Block | ClusterBlock]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield players, ranks and numbers of each shape that blocks have, with each entry once and ascending."""
+    of_shape: dict[tuple[int, ...], list[Block | ClusterBlock]] = {}
+    for block in blocks:
+        of_shape.setdefault(block.players.shape[1:], []).append(block)
+    for shape, some in sorted(of_shape.items()):
+        rows = np.concatenate([np.concatenate([each.players, each.ranks], -1) for each in some])
+        flat = rows.reshape(len(rows), -1)
+        order = np.lexsort(flat.T[::-1])
+        flat, number = flat[order], np.concatenate([each.number for each in some])[order]
+        starts = np.flatnonzero(np.append(True, (flat[1:] != flat[:-1]).any(1)))
+        kept = rows[order[starts]]
+        yield kept[..., : shape[-1]], kept[..., shape[-1] :], np.add.reduceat(number, starts)
 
 
 def lineups_of(matches: Iterable[RankedMatch]) -> dict[tuple[str, ...], LineupTotals]:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import sqlalchemy as sa
 
 from storage.database import schema as t
-from storage.database.rankings import FROM_COLUMNS, check_rankings, rankings_json
+from storage.database.rankings import FROM_COLUMNS, TO_COLUMN, check_clusters, check_rankings
 from storage.errors import StorageError, UnknownName
 from storage.records import (
     ArenaKey,
@@ -56,8 +56,8 @@ def row_of(record: Any, *without: str) -> dict[str, Any]:
             continue
         if f.name in _SPREAD:
             row.update(zip(_SPREAD[f.name], value or [None] * len(_SPREAD[f.name]), strict=True))
-        elif f.name == "rankings":
-            row[f.name] = rankings_json(value)
+        elif f.name in TO_COLUMN:
+            row[f.name] = TO_COLUMN[f.name](value)
         elif isinstance(value, Mapping):
             row[f.name] = dict(value)
         else:
@@ -163,6 +163,7 @@ def add_matches(db: sa.Connection, matches: Sequence[Match | RankedMatch], last:
             continue
         try:
             check_rankings(match.snapshots, match.rankings, match.voids, match.voids_by_team)
+            check_clusters(match.rankings, match.seed_clusters)
         except ValueError as error:
             raise StorageError(f"A match of {', '.join(match.snapshots)} contradicts itself: {error}.") from None
         ranked.append(row | {"episodes": match.episodes})

@@ -70,8 +70,8 @@ def _text(name: str, **options: Any) -> sa.Column[str]:
     return sa.Column(name, sa.String, nullable=options.pop("nullable", False), **options)
 
 
-def _json(name: str) -> sa.Column[Any]:
-    return sa.Column(name, sa.JSON, nullable=False)
+def _json(name: str, **options: Any) -> sa.Column[Any]:
+    return sa.Column(name, sa.JSON, nullable=False, **options)
 
 
 def _arena(nullable: bool) -> list[sa.Column[str]]:
@@ -180,6 +180,7 @@ ranked_matches = sa.Table(
     _real("seconds"),
     sa.Column("due", sa.Double),
     _count("causes"),
+    _json("seed_clusters", default=dict),
     _time("created"),
 )
 curves = sa.Table(
@@ -282,6 +283,12 @@ def add_ranked_matches(db: sa.Connection) -> None:
     ranked_matches.create(db)
 
 
+def add_seed_clusters(db: sa.Connection) -> None:
+    """Migrate from schema 8 to 9: episodes of rankings that share a seed. Those of earlier matches are unknown."""
+    if not any(c["name"] == "seed_clusters" for c in sa.inspect(db).get_columns("ranked_matches")):  # see above
+        db.execute(sa.text("ALTER TABLE ranked_matches ADD COLUMN seed_clusters JSON NOT NULL DEFAULT '{}'"))
+
+
 # The oldest schema that can be migrated. Schema 1 keyed snapshots by their bytes and leagues by their arena.
 FIRST_SCHEMA = 2
 
@@ -289,7 +296,7 @@ FIRST_SCHEMA = 2
 # a new migration requires a matching change of the tables.
 MIGRATIONS: list[Callable[[sa.Connection], None]] = [
     add_seconds_of_matches, add_meetings, add_thinned_snapshots, sort_jobs_to_claim,
-    add_causes_of_voids, add_ranked_matches,
+    add_causes_of_voids, add_ranked_matches, add_seed_clusters,
 ]  # fmt: skip
 
 

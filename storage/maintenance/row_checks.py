@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any, get_args
 
-from storage.database.rankings import check_rankings, parse_rankings, tuple_of
+from storage.database.rankings import check_clusters, check_rankings, parse_clusters, parse_rankings, tuple_of
 from storage.maintenance.row_transfer import is_digest
 from storage.records import Purpose
 
@@ -58,6 +58,7 @@ def _ranked_match(row: Mapping[str, Any]) -> None:
     try:
         snapshots, rankings = tuple_of(str, row["snapshots"]), parse_rankings(row["rankings"])
         check_rankings(snapshots, rankings, row["voids"], tuple_of(int, row["voids_by_team"]))
+        check_clusters(rankings, parse_clusters(row.get("seed_clusters", {})))
     except TypeError as error:
         raise ValueError(str(error)) from None
     if strange := next((name for name in snapshots if not name.isprintable()), None):

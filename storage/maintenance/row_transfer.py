@@ -76,7 +76,9 @@ BLOB_COLUMNS: Mapping[str, str] = {
 
 OLDEST_PACKED_SCHEMA = 6
 """The oldest schema whose packs can be unpacked: ADDED_COLUMNS has the columns that they lack."""
-ADDED_COLUMNS: Mapping[str, frozenset[str]] = {"matches": frozenset({"causes"})}
+ADDED_COLUMNS: Mapping[str, frozenset[str]] = {
+    "matches": frozenset({"causes"}), "ranked_matches": frozenset({"seed_clusters"}),
+}  # fmt: skip
 """Columns that rows of older packs do not have; the table's own default fills them."""
 ADDED_TABLES: Mapping[str, int] = {"ranked_matches": 8}
 """Tables that older packs do not have, and the schema that added each."""

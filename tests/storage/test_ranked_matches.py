@@ -17,6 +17,7 @@ from tests.storage.sound import change, episode
 
 TAG = ArenaKey("tag", "beef", "c")
 RANKINGS = {(1, 2, 2): 5, (3, 1, 2): 7, (1, 1, 1): 2}
+CLUSTERS = {((3, 1, 2), (1, 2, 3), (1, 1, 1)): 4, ((1, 2, 2), (1, 2, 2), (3, 1, 2)): 1}
 
 
 def ranked(seed: int, **changes) -> RankedMatch:
@@ -57,12 +58,23 @@ def test_sums_are_those_of_the_rows(league: Store):
     newest = max(m.created for m in league.ranked_matches("cup") if m.id in (1, 3))
     assert lineup == LineupTotals({ranks: 2 * n for ranks, n in RANKINGS.items()}, 6, (2, 0, 2), newest)
     assert totals[TAG].lineups[other].rankings == RANKINGS
+    assert lineup.seed_clusters == {}
     assert league.totals("cup", "rating", until=0) == {}
     assert sorted(league.voids("cup", ["rating"], 0)) == [(0, 6, 29), (4, 3, 14)]
     assert league.booked("cup") == (2.0, 9.0)
     assert league.booked_episodes("cup") == 17
     pace = league.pace("cup", ["rating"], 4)
     assert pace == RatingPace(league.ranked_matches("cup")[2].created, 9.0, 2.0)
+
+
+def test_seeds_that_rotations_share_are_kept_and_summed(league: Store):
+    other = {((3, 1, 2), (1, 2, 3), (1, 1, 1)): 2, ((1, 1, 1), (1, 1, 1)): 2}
+    log = [ranked(1, seed_clusters=CLUSTERS), ranked(2), ranked(3, seed_clusters=other)]
+    finish_a_job(league, matches=log)
+    assert [m.seed_clusters for m in league.ranked_matches("cup")] == [CLUSTERS, {}, other]
+    (lineup,) = league.totals("cup", "rating")[TAG].lineups.values()
+    first, second = CLUSTERS
+    assert lineup.seed_clusters == {first: 6, second: 1, ((1, 1, 1), (1, 1, 1)): 2}
 
 
 @pytest.mark.parametrize(
@@ -75,6 +87,10 @@ def test_sums_are_those_of_the_rows(league: Store):
         ({"voids_by_team": (2, 2, 0)}, "of 3 voids, 2, 2, 0 were one team's"),
         ({"voids_by_team": (1,)}, "3 teams, and voids of 1"),
         ({"snapshots": ("blue@0", "red@0"), "voids_by_team": (0, 0)}, "2 teams, and a ranked match has three or more"),
+        ({"seed_clusters": {((3, 1, 2), (1, 2, 3)): 8}}, "8 of its seeds ended 3,1,2, and 7 episodes"),
+        ({"seed_clusters": {((3, 1, 2),): 1}}, "1 of its seeds have 1 episodes each, among 3 teams"),
+        ({"seed_clusters": {((3, 1, 2), (1, 1, 2)): 1}}, "1,1,2 is no ranking of 3 teams"),
+        ({"seed_clusters": {((3, 1, 2), (1, 2, 3)): -1}}, "-1 of its seeds have 2 episodes each"),
         ({"recording": "ab" * 32}, "put it before the row that names it"),
         ({"league": "other"}, "a result for league 'other'"),
     ],
@@ -88,7 +104,7 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(league: Store, wrong, 
 
 def test_rows_move_to_another_store(league: Store, tmp_path: Path):
     digest = league.blobs.put(episode("blue@0", "red@0"))
-    finish_a_job(league, matches=[ranked(1, recording=digest), match(2), ranked(3)])
+    finish_a_job(league, matches=[ranked(1, recording=digest), match(2), ranked(3, seed_clusters=CLUSTERS)])
     tables: dict[str, list] = {}
     league.dump(["cup"], lambda name, rows: tables.update({name: list(rows)}), recordings=False)
     assert [row["recording"] for row in tables["ranked_matches"]] == [None, None]
@@ -117,6 +133,9 @@ def test_old_recordings_are_removed_and_the_rows_stay(league: Store):
         ("""UPDATE ranked_matches SET rankings = '{"1,1,2": 14}'""", "1,1,2 is no ranking of 3 teams"),
         ("""UPDATE ranked_matches SET rankings = '{"1,x": 14}'""", "invalid literal"),
         ("""UPDATE ranked_matches SET snapshots = '["blue@0", "red@0", "gone"]'""", "'gone' is none of the snapshots"),
+        ("""UPDATE ranked_matches SET seed_clusters = '{"1,2,2;1,2,2": 6}'""", "6 of its seeds ended 1,2,2, and 5"),
+        ("""UPDATE ranked_matches SET seed_clusters = '{"1,2,2;1": 1}'""", "1 is no ranking of 3 teams"),
+        ("""UPDATE ranked_matches SET seed_clusters = '{"1,2,2": 0.5}'""", "'0.5' is no number of seeds"),
         ("UPDATE ranked_matches SET purpose = 'fun'", "purpose 'fun' is none of"),
         ("DELETE FROM ranked_matches", "it counts 1 matches, and the rows of 0 are there"),
     ],

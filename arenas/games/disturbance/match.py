@@ -35,10 +35,9 @@ GRAVITY = 9.81  # m/s²
 SIDES = jnp.array([1.0, -1.0])  # the walker's gain is nature's loss
 
 
-class DisturbedState(NamedTuple):
-    """The walk's state, and what nature did."""
+class NatureState(NamedTuple):
+    """Deeds of nature: the part of the walk's state that this game adds."""
 
-    walk: GameState
     factors: Array  # (factors,) that the designer set; 1 before
     designing: Array  # () bool: the first decision is still to come
     effort: Array  # () mean square of the present forces, as shares of their limit
@@ -88,14 +87,14 @@ class Disturbance(RobotWalk):
 
     # Rules -----------------------------------------------------------------------------------------------------------
 
-    def place(self, key: Array) -> tuple[Array, Array, DisturbedState]:  # type: ignore[override]
+    def place(self, key: Array) -> tuple[Array, Array, GameState]:
         """Place the walker at the origin, facing the goal, with joints a little off their rest."""
         at, noise = self._at, 0.02 * jax.random.normal(key, (len(self._at.joint_qpos),))
         qpos = self._rest.at[at.joint_qpos].add(noise)
         goal, still = jnp.array([self._ahead, 0.0]), jnp.zeros(self.robot.action_size)
-        walk = GameState(goal, still, still, jnp.zeros(len(self.robot.feet)))
-        state = DisturbedState(walk, jnp.ones(len(self.bounds)), jnp.ones((), bool), jnp.zeros(()))
-        return qpos, jnp.zeros(self.scene.model.nv), state
+        nature = NatureState(jnp.ones(len(self.bounds)), jnp.ones((), bool), jnp.zeros(()))
+        walk = GameState(goal, still, still, jnp.zeros(len(self.robot.feet)), nature)
+        return qpos, jnp.zeros(self.scene.model.nv), walk
 
     def randomise(self, key: Array) -> dict[str, Array]:
         """Draw model fields by the settings, and add those that nature may set."""
@@ -103,47 +102,43 @@ class Disturbance(RobotWalk):
         names = {field for factor in self._factors for field in factor.fields}
         return {name: jnp.asarray(getattr(model, name), jnp.float32) for name in sorted(names)} | drawn
 
-    def decide(self, game: DisturbedState, actions: dict[str, Array]) -> DisturbedState:  # type: ignore[override]
+    def decide(self, game: GameState, actions: dict[str, Array]) -> GameState:
         """Store the walker's action, nature's effort and, in the first decision, its factors."""
-        effort, factors = game.effort, game.factors
+        factors, designing, effort = game.nature
         if pusher := self._nature.get("disturbance"):
             effort = jnp.mean(jnp.clip(actions[pusher], -1.0, 1.0) ** 2)
         if author := self._nature.get("designer"):
-            factors = jnp.where(game.designing, self.robots[author].designed(actions[author]), factors)
-        return DisturbedState(super().decide(game.walk, actions), factors, jnp.zeros((), bool), effort)
+            factors = jnp.where(designing, self.robots[author].designed(actions[author]), factors)
+        nature = NatureState(factors, jnp.zeros((), bool), effort)
+        return super().decide(game, actions)._replace(nature=nature)
 
-    def design(self, physics: Physics, game: DisturbedState) -> tuple[Array, Array, dict[str, Array]] | None:
+    def design(self, physics: Physics, game: GameState) -> tuple[Array, Array, dict[str, Array]] | None:
         """Multiply friction and masses by nature's factors."""
         if not self._factors:
             return None
         fields = dict(physics.model)
-        for factor, value in zip(self._factors, game.factors, strict=True):
+        for factor, value in zip(self._factors, game.nature.factors, strict=True):
             fields |= {name: factor.applied(fields[name], value) for name in factor.fields}
         return physics.qpos, physics.qvel, {name: fields[name] for f in self._factors for name in f.fields}
 
-    def observe(self, physics: Physics, game: DisturbedState, actions: dict[str, Array]) -> dict[str, Array]:  # type: ignore[override]
+    def observe(self, physics: Physics, game: GameState, actions: dict[str, Array]) -> dict[str, Array]:
         """Return the walk's observation, for nature with the factors."""
-        seen = super().observe(physics, game.walk, actions)[WALKER]
-        nature = jnp.concatenate([seen, game.factors])
+        seen = super().observe(physics, game, actions)[WALKER]
+        nature = jnp.concatenate([seen, game.nature.factors])
         return {agent: seen if agent == WALKER else nature for agent in self.robots}
 
-    def judge(self, before: Physics, physics: Physics, game: DisturbedState) -> tuple[DisturbedState, Verdict]:  # type: ignore[override]
+    def judge(self, before: Physics, physics: Physics, game: GameState) -> tuple[GameState, Verdict]:
         """Judge the walk, and give nature the opposite."""
-        walk, verdict = super().judge(before, physics, game.walk)
-        game = game._replace(walk=walk)
+        game, verdict = super().judge(before, physics, game)
         if self.alone:
             return game, verdict
         rewards = {name: term * SIDES for name, term in verdict.rewards.items()}
-        rewards["force"] = self.cost * self.timing.control_interval * game.effort * jnp.array([0.0, 1.0])
+        rewards["force"] = self.cost * self.timing.control_interval * game.nature.effort * jnp.array([0.0, 1.0])
         return game, verdict._replace(
             rewards=rewards,
             score=jnp.concatenate([verdict.score, 1.0 - verdict.score]),
             events={name: jnp.append(event, False) for name, event in verdict.events.items()},
         )
-
-    def markers(self, physics: Physics, game: DisturbedState) -> dict[str, Array]:  # type: ignore[override]
-        """Return the circle that counts as reached."""
-        return super().markers(physics, game.walk)
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return the walk's scripts, and `headwind`, a constant force against the walk with the factors in the
@@ -164,10 +159,10 @@ class Disturbance(RobotWalk):
 class DesignedDisturbance(Disturbance):
     """The same with a designer, which leaves the game after its first decision."""
 
-    def alive(self, physics: Physics, game: DisturbedState) -> Array:  # type: ignore[override]
+    def alive(self, physics: Physics, game: GameState) -> Array:
         """Return (agents,) bool: all, and the designer until its first decision."""
         return jnp.stack([
-            game.designing if robot.kind == "designer" else jnp.ones((), bool) for robot in self.robots.values()
+            game.nature.designing if robot.kind == "designer" else jnp.ones((), bool) for robot in self.robots.values()
         ])  # fmt: skip
 
 

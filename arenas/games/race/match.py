@@ -208,7 +208,7 @@ class Race(Arena):
         return {
             agent: observation.observe(
                 i, poses[i], robot.observe_self(self.body(agent, physics, actions)), gates[i], poses[:, :3], velocity,
-                standing, self.total, time,
+                standing, self.total, time, self.settings.others,
             )
             for i, (agent, robot) in enumerate(self.robots.items())
         }  # fmt: skip

@@ -63,7 +63,7 @@ def entities(others: int) -> tuple[Entities, ...]:
 
 def observe(
     i: int, pose: Array, motion: Array, gates: Array, places: Array, velocity: Array, standing: Standing,
-    total: int, time: Array,
+    total: int, time: Array, others: int,
 ) -> Array:  # fmt: skip
     """Return the observation of drone `i`.
 
@@ -77,13 +77,14 @@ def observe(
         standing: of all drones.
         total: number of gates in a race.
         time: () share of the episode that has passed.
+        others: blocks for other drones, at least as many as there are.
     """
     at, turned = pose[:3], jax.vmap(lambda vector: into_body(pose[3:], vector))
     race = jnp.stack([standing.passed[i] / total, standing.contacts[i], time])
     own = jnp.concatenate([motion, into_body(pose[3:], EAST), at, race])
     corners = turned((gates - at).reshape(-1, 3)).ravel()
-    seen = _others(i, turned, places, velocity, standing) if len(places) > 1 else jnp.zeros(OTHER_SIZE)
-    return jnp.concatenate([own, corners, seen])
+    seen = _others(i, turned, places, velocity, standing) if len(places) > 1 else jnp.zeros(0)
+    return jnp.concatenate([own, corners, jnp.pad(seen, (0, others * OTHER_SIZE - len(seen)))])
 
 
 def _others(i: int, turned: Callable[[Array], Array], places: Array, velocity: Array, standing: Standing) -> Array:

@@ -73,6 +73,8 @@ class RaceSettings(WithTerms):
     """The arena's name."""
     teams: int = field(default=2, metadata={"low": 1, "high": len(TEAMS)})
     """Drones, each a team of its own. One alone flies against the clock, and succeeds if it completes its laps."""
+    room: int = field(default=1, metadata={"low": 1, "high": len(TEAMS) - 1})
+    """Other drones that observations have places for, if fewer race: a policy then also fits a race of more."""
     rules: RaceRules = field(default_factory=RaceRules)
     """Rules that decide a race."""
     reward: RaceReward = field(default_factory=RaceReward)
@@ -80,8 +82,8 @@ class RaceSettings(WithTerms):
 
     @property
     def others(self) -> int:
-        """Blocks for other drones in an observation: at least one, so that a drone that learnt alone fits the duel."""
-        return max(1, self.teams - 1)
+        """Blocks for other drones in an observation; a drone that learnt alone therefore fits the duel."""
+        return max(self.room, self.teams - 1)
 
     @property
     def timing(self) -> Timing:

@@ -11,7 +11,7 @@ all else is zero. For later stages with another layout, the walk accepts another
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +48,7 @@ class GameState(NamedTuple):
     action: Array  # (action_size,) the present action
     last: Array  # (action_size,) the previous action
     air: Array  # (feet,) s since each foot left the ground, 0 while it is on it
+    nature: Any = ()  # of games in which nature disturbs the walk
 
 
 class WalkObservation(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from league.commands.analyse.csv_columns import Columns, column_places, quick, require_name, row_values
 from league.config import text_files
 from league.config.schema import ConfigError
-from matchmaking.ratings.fit import Clusters
+from matchmaking.ratings.likelihoods.dispersion import Clusters
 from matchmaking.ratings.payoff import Payoff, sum_matches
 from storage.records import ArenaKey, MatchTotals
 

@@ -14,7 +14,7 @@ from league.commands.analyse.csv_columns import (
 from league.commands.analyse.csv_log import Log
 from league.config import text_files
 from league.config.schema import ConfigError
-from matchmaking.ratings.fit import NO_CLUSTERS
+from matchmaking.ratings.likelihoods.dispersion import NO_CLUSTERS
 from matchmaking.ratings.payoff import rankings_payoff
 from matchmaking.ratings.rankings import Rankings
 

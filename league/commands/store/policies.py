@@ -9,7 +9,7 @@ from league.commands.options import STORE, Where, parse, positional, spelt
 from league.config.schema import ConfigError
 from league.config.sections import check_name
 from league.snapshots import policy_file
-from league.snapshots.arena_transfer import describe_transfer
+from league.snapshots.arena_transfer import describe_transfer, refitted
 from league.snapshots.exports import interface
 from league.snapshots.exports.program_export import SUFFIX, Format, programs, stem
 from league.snapshots.model_card import card
@@ -98,8 +98,11 @@ def import_(args: list[str]) -> int:
         raise ConfigError(("team",), f"--team is for programs, and {options.file} tells its own roster: leave it out")
     policy = policy_file.read(policy_file.find(options.file))
     with options.open() as league:
-        snapshot = policy_file.bring_in(league, policy, str(options.named))
+        fitting = refitted(league, policy)
+        snapshot = policy_file.bring_in(league, fitting, str(options.named))
         print(f"{snapshot.name} of league {league.league} is {snapshot.parent} ({snapshot.roster}).")
+        if fitting is not policy:
+            print(f"It learnt as {policy.about['roster']}: its sets of entities have other sizes here.")
         if text := describe_transfer(league, policy):
             print(text)
         print(_how_rated(options, league.league))

@@ -4,13 +4,13 @@ import difflib
 from collections.abc import Callable, Mapping
 
 from league.config.experiment import Config
-from league.config.presets import harl_a, quick_starts, related_work
+from league.config.presets import harl_a, over_skills, quick_starts, related_work, team_games
 from league.config.schema import ConfigError
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
     "quickstart": quick_starts.quickstart,
     "duel": quick_starts.duel,
-    "tag": quick_starts.tag,
+    "tag": team_games.tag,
     "selfplay": quick_starts.selfplay,
     "leapfrog": quick_starts.leapfrog,
     "alphastar": quick_starts.alphastar,
@@ -26,6 +26,9 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "hopper-adversaries": related_work.hopper_adversaries,
     "soccer-1v1": harl_a.soccer_1v1,
     "soccer-2v2": harl_a.soccer_2v2,
+    "soccer-2v2-skills": over_skills.soccer_2v2,
+    "sumo-by-team-skills": over_skills.sumo_by_team,
+    "sumo-within-team-skills": over_skills.sumo_within_team,
     "galaga-1v1": harl_a.galaga_1v1,
     "galaga-2v2": harl_a.galaga_2v2,
     "run-to-goal": related_work.run_to_goal,
@@ -33,8 +36,10 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "sumo-humanoids": related_work.sumo_humanoids,
     "you-shall-not-pass": related_work.you_shall_not_pass,
     "kick-and-defend": related_work.kick_and_defend,
-    "gate-race": related_work.gate_race,
-    "gate-race-sparse": related_work.gate_race_sparse,
+    "gate-race": team_games.gate_race,
+    "gate-race-sparse": team_games.gate_race_sparse,
+    "gate-race-4": team_games.gate_race_4,
+    "swarm": team_games.swarm,
 }
 
 

@@ -21,12 +21,6 @@ def duel() -> Config:
     return replace(config, league="duel", budget=Budget(training_time="2m", rating_time="1m"))
 
 
-def tag() -> Config:
-    """Tag of three pucks, free for all: two minutes on two cores, then ratings."""
-    config = default("tag")
-    return replace(config, league="tag", budget=Budget(training_time="2m", rating_time="1m"))
-
-
 def selfplay() -> Config:
     """Quick start against the opponents as they are now."""
     return _versus("selfplay", Opponents("latest"))

@@ -1,4 +1,4 @@
-"""Presets of games of related work, each for a GPU: contests of Bansal et al., RARL's adversaries, a gate race."""
+"""Presets of games of related work, each for a GPU: contests of Bansal et al., RARL's adversaries."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -107,29 +107,3 @@ def _contest(
     return replace(
         config, league=arena, learner=learner, training=training, budget=Budget(steps=steps, rating_time="5m")
     )
-
-
-def gate_race() -> Config:
-    """Two drones that race through gates: each learns to fly the track alone, then they race. For a GPU."""
-    dense = {"progress": 1.0, "first": 0.0, "later": 0.0, "lap": 0.0}
-    alone = Stage("alone", {
-        "arena": {"teams": 1, "reward": dense}, "training": {"shaping_steps": 10**12},  # the dense reward stays
-        "budget": {"success": 0.9, "steps": 400_000_000, "training_time": "none"},
-    })  # fmt: skip
-    return replace(gate_race_sparse(), league="gate-race", stages=(alone, Stage("race", {})))
-
-
-def gate_race_sparse() -> Config:
-    """Two drones that race through gates from nothing and are paid for places alone, as in 2512.11781; for a GPU.
-
-    Its networks and batches are smaller than the paper's (512, 512, 256, 128; 10,240 worlds of 16 decisions). With
-    `--arena.teams 1` a drone learns alone, and with `--arena.rules.walls true` there are walls.
-    """
-    config = default("gate-race")
-    learner = HappoConfig(
-        Architecture((256, 256, 128), "elu"), lr=3e-4, critic_lr=5e-4, gamma=0.99, initial_std=0.5, desired_kl=0.01,
-        normalise_observations=True,
-    )  # fmt: skip
-    training = replace(config.training, rollout_length=24, snapshots_per_doubling=2)
-    budget = Budget(training_time="20m", rating_time="2m")
-    return replace(config, league="gate-race-sparse", learner=learner, training=training, budget=budget)

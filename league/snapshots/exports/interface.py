@@ -10,6 +10,7 @@ from arenas.description import Outline, Part, with_indices
 from arenas.rosters import bare
 from dashboards.untrusted_text import visible
 from league.config import experiment as configuration
+from league.snapshots.exports.networks import memory_units, noise_size
 from league.snapshots.exports.numpy_export import numpy_lines
 from league.snapshots.policy_file import Policy
 
@@ -76,14 +77,14 @@ def _parts(
 
 def _ends(agent: Mapping[str, Any], files: Sequence[str]) -> str:
     """Describe inputs and outputs of the files."""
-    units = agent.get("recurrent", 0)
+    units = memory_units(agent)
     named = " and ".join(f"`{file}`" for file in files) or "an ONNX or TorchScript file (`league export --onnx`)"
     rows = [
         ("in", "observations", agent["observation"], "as below; normalisation is inside"),
         (
             "in",
             "noise",
-            agent["action"],
+            noise_size(agent),
             "zeros for the mean action; standard normal numbers to explore as in the league",
         ),
         *([("in", "memory", units, "zeros where an episode begins, then `next_memory`")] if units else []),
@@ -135,6 +136,9 @@ def _normalises(own: Mapping[str, np.ndarray]) -> bool:
 
 
 def _code(agent: Mapping[str, Any], number: int, file: str) -> Iterator[str]:
-    """Yield the policy in NumPy."""
+    """Yield the policy in NumPy; of one over skills, that its programs are the way to run it."""
+    if "over" in agent:
+        yield "It acts over skills, which the safetensors file holds with it; run its ONNX or TorchScript file."
+        return
     yield "The same in NumPy, from the safetensors file:"
     yield "\n".join(["```python", *numpy_lines(agent, number, file), "```"])

@@ -23,7 +23,7 @@ def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
     units), zeros at first, and returns it.
 
     Args:
-        agent: its description, see `league.snapshots.policy_file.agents_of`.
+        agent: its description, see `league.snapshots.exports.networks.agents_of`.
         number: its number in the roster.
         file: the safetensors file of the policy.
     """

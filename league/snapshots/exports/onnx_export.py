@@ -1,16 +1,20 @@
 """A frozen policy's network as an ONNX file, with normalisation and scaling inside.
 
 Inputs, all float32 and for any number N of worlds: `observations` (N, obs); `noise` (N, act), zeros for the mean action
-or standard normal numbers to explore as in the league; for a recurrent policy `memory` (N, units), zeros where an
-episode begins. Outputs: `actions` (N, act), and `next_memory`, the memory of the next decision.
+or standard normal numbers to explore as in the league; for a policy that remembers `memory` (N, units), zeros where an
+episode begins. A policy over skills remembers its command, and takes noise for commands. Outputs: `actions` (N, act),
+and `next_memory`, the memory of the next decision.
 """
 
 from collections.abc import Mapping
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agents.policy.skill_arrays import PREFIX, skill_of
 from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
+from league.snapshots.exports.networks import memory_units, noise_size
 from storage.errors import StorageError
 
 if TYPE_CHECKING:
@@ -26,7 +30,7 @@ def onnx_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any], metad
 
     Args:
         arrays: its parameters, by the names of `agents.policy.networks.Actor`.
-        agent: its description, see `league.snapshots.policy_file.agents_of`.
+        agent: its description, see `league.snapshots.exports.networks.agents_of`.
         metadata: entries to write into the file.
 
     Raises StorageError if the package onnx is missing.
@@ -37,12 +41,14 @@ def onnx_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any], metad
         need = f"an ONNX file needs onnx ({error}); install it with: pip install 'robot-league[onnx]'"
         raise StorageError(need) from error
     graph = _Graph(onnx, arrays)
-    x = _features(graph, agent)
-    inputs, outputs = {"observations": agent["observation"], "noise": agent["action"]}, {"actions": agent["action"]}
-    if units := agent.get("recurrent", 0):
+    inputs, outputs = {"observations": agent["observation"], "noise": noise_size(agent)}, {"actions": agent["action"]}
+    if units := memory_units(agent):
         inputs["memory"] = outputs["next_memory"] = units
-        x = _gru(graph, x, units)
-    _actions(graph, x, agent)
+    if "over" in agent:
+        _over_skills(graph, agent["over"])
+    else:
+        x = _features(graph, agent)
+        _actions(graph, _gru(graph, x, units) if units else x, agent)
     kind = onnx.TensorProto.FLOAT
     ends = [
         [onnx.helper.make_tensor_value_info(name, kind, ["N", size]) for name, size in each.items()]
@@ -61,10 +67,16 @@ class _Graph:
     """Nodes and constants of a graph under construction. A value is known by its name."""
 
     def __init__(self, package: Any, arrays: Mapping[str, np.ndarray]):
-        self._onnx, self.arrays = package, arrays
+        self._onnx, self.arrays, self._prefix = package, arrays, ""
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
         self._known: set[str] = set()
+
+    def inside(self, prefix: str, arrays: Mapping[str, np.ndarray]) -> "_Graph":
+        """Return this graph for another network of it, whose constants have names with a prefix."""
+        found = copy(self)
+        found.arrays, found._prefix = arrays, prefix
+        return found
 
     def node(self, kind: str, *inputs: str, to: str = "", **attributes: Any) -> str:
         """Add an operation, and return the name of its output."""
@@ -74,6 +86,7 @@ class _Graph:
 
     def constant(self, name: str, value: Any) -> str:
         """Add a constant once, and return its name."""
+        name = self._prefix + name
         if name not in self._known:
             self._known.add(name)
             dtype = np.int64 if isinstance(value, list) else np.float32
@@ -108,15 +121,15 @@ class _Graph:
         return self.node("Slice", x, self.constant(f"at_{first}", [first]), self.constant(f"at_{end}", [end]), axis)
 
 
-def _features(graph: _Graph, agent: Mapping[str, Any]) -> str:
+def _features(graph: _Graph, agent: Mapping[str, Any], observed: str = "observations") -> str:
     """Normalise observations and apply the hidden layers."""
     deviation = np.sqrt(np.maximum(graph.arrays["trunk.observation_var"], np.float32(VARIANCE_FLOOR)))
     clip = np.float32(graph.arrays["trunk.observation_clip"])
-    x = graph.node("Sub", "observations", graph.parameter("trunk.observation_mean"))
+    x = graph.node("Sub", observed, graph.parameter("trunk.observation_mean"))
     x = graph.node("Div", x, graph.constant("observation_deviation", deviation))
     x = graph.node("Clip", x, graph.constant("least", -clip), graph.constant("most", clip))
     if agent.get("entities"):
-        x = _encoded(graph, x, agent)
+        x = _encoded(graph, x, agent, observed)
     x = graph.layer_norm(x, "trunk.norm.0")
     for i in range(len(agent["hidden"])):
         x = graph.linear(x, f"trunk.hidden.{i}.weight", f"trunk.hidden.{i}.bias")
@@ -125,7 +138,7 @@ def _features(graph: _Graph, agent: Mapping[str, Any]) -> str:
     return x
 
 
-def _encoded(graph: _Graph, x: str, agent: Mapping[str, Any]) -> str:
+def _encoded(graph: _Graph, x: str, agent: Mapping[str, Any], observed: str) -> str:
     """Return own numbers, and mean and maximum of each set of entities; see `agents.policy.entities`."""
     found = [graph.node("Gather", x, graph.constant("own", graph.arrays["trunk.own"].tolist()), axis=1)]
     zero, one, far = (graph.constant(name, value) for name, value in (("zero", 0.0), ("one", 1.0), ("far", FAR)))
@@ -135,7 +148,7 @@ def _encoded(graph: _Graph, x: str, agent: Mapping[str, Any]) -> str:
         places = graph.constant(f"places_{i}", graph.arrays[f"{name}.index"].reshape(-1).tolist())
         rows_of = graph.constant(f"rows_{i}", [-1, *shape[:2]])
         raw, rows = (
-            graph.node("Reshape", graph.node("Gather", each, places, axis=1), rows_of) for each in ("observations", x)
+            graph.node("Reshape", graph.node("Gather", each, places, axis=1), rows_of) for each in (observed, x)
         )
         nothing = graph.node("Equal", graph.node("ReduceMax", graph.node("Abs", raw), axes=[2], keepdims=1), zero)
         absent = graph.as_number(nothing)
@@ -164,17 +177,55 @@ def _gru(graph: _Graph, x: str, units: int) -> str:
     return graph.layer_norm(graph.node("Add", n, kept, to="next_memory"), "gru.norm")
 
 
-def _actions(graph: _Graph, x: str, agent: Mapping[str, Any]) -> None:
-    """Compute `actions` from the last layer's input and the noise."""
-    plain = "std_logit" in graph.arrays
-    logit = graph.parameter("std_logit") if plain else graph.linear(x, "deviation.weight", "deviation.bias")
-    mean = graph.linear(x, "mean.weight", "mean.bias")
-    deviation = graph.node("Mul", graph.node("Sigmoid", logit), graph.parameter("std_scale"))
-    spread = graph.node("Mul", deviation, "noise")
+def _actions(graph: _Graph, x: str, agent: Mapping[str, Any], noise: str | None = "noise", to: str = "actions") -> str:
+    """Compute actions from the last layer's input and the noise; without noise the mean ones."""
+    drawn = graph.linear(x, "mean.weight", "mean.bias")
+    if noise is not None:
+        plain = "std_logit" in graph.arrays
+        logit = graph.parameter("std_logit") if plain else graph.linear(x, "deviation.weight", "deviation.bias")
+        deviation = graph.node("Mul", graph.node("Sigmoid", logit), graph.parameter("std_scale"))
+        spread = graph.node("Mul", deviation, noise)
+        drawn = graph.node("Add", drawn, spread, to="" if agent["squash"] is not None else to)
     if agent["squash"] is None:
-        graph.node("Add", mean, spread, to="actions")
-        return
+        return drawn
     limit = graph.parameter("squash")
-    share = graph.node("Tanh", graph.node("Div", graph.node("Add", mean, spread), limit))
+    share = graph.node("Tanh", graph.node("Div", drawn, limit))
     edges = graph.constant("inner_edge", -SQUASH_EDGE), graph.constant("outer_edge", SQUASH_EDGE)
-    graph.node("Mul", limit, graph.node("Clip", share, *edges), to="actions")
+    return graph.node("Mul", limit, graph.node("Clip", share, *edges), to=to)
+
+
+def _over_skills(graph: _Graph, over: Mapping[str, Any]) -> None:
+    """Compute `actions` and `next_memory` of a policy over skills; see `agents.policy.skills`."""
+    choices, command, skills = over["choices"], over["command"], over["skills"]
+    strategy, noise = over["strategy"], graph.part("noise", 0, choices)
+    new = _actions(graph, _features(graph, strategy), strategy, noise, to="")
+    left, held = graph.part("memory", 0, 1), graph.part("memory", 1, 1 + choices)
+    one, every = graph.constant("one_decision", 1.0), graph.constant("every_decision", float(over["every"]))
+    due = graph.node("Less", left, one)
+    choice = graph.node("Where", due, new, held)
+    graph.node(
+        "Concat", graph.node("Sub", graph.node("Where", due, every, left), one), choice, to="next_memory", axis=1
+    )
+    if not skills:
+        graph.node("Identity", choice, to="actions")
+        return
+    ends = graph.constant("least_command", -1.0), graph.constant("greatest_command", 1.0)
+    reach = graph.constant("reach", graph.arrays[f"{PREFIX}reach"])
+    commands = graph.node("Mul", graph.node("Clip", graph.part(choice, 0, command), *ends), reach)
+    nothing = graph.node("Sub", left, left)
+    seen, commanded = (graph.node("Concat", each, nothing, axis=1) for each in ("observations", commands))
+    answers = []
+    for i, agent in enumerate(skills):
+        arrays = skill_of(graph.arrays, i)
+        own = graph.inside(f"{PREFIX}{i}.", arrays)
+        sources, targets = (own.constant(name, arrays[name].tolist()) for name in ("source", "target"))
+        x = own.node("Add", own.node("Gather", seen, sources, axis=1), own.parameter("fill"))
+        x = own.node("Add", x, own.node("Gather", commanded, targets, axis=1))
+        answers.append(_actions(own, _features(own, agent, x), agent, None, to=""))
+    if len(answers) == 1:
+        graph.node("Identity", answers[0], to="actions")
+        return
+    scores = graph.part(choice, command, choices)
+    weights = graph.node("Softmax" if over["blend"] else "Hardmax", scores, axis=1)
+    shares = [graph.node("Mul", graph.part(weights, i, i + 1), each) for i, each in enumerate(answers)]
+    graph.node("Sum", *shares, to="actions")

@@ -1,7 +1,8 @@
 """A frozen policy's network as a TorchScript file, with the inputs and outputs of its ONNX file (`onnx_export`).
 
-`forward(observations, noise)` returns the actions; of a recurrent policy `forward(observations, noise, memory)` returns
-the actions and the next memory, and the attribute `memory_size` is the number of its units.
+`forward(observations, noise)` returns the actions; of a policy that remembers `forward(observations, noise, memory)`
+returns the actions and the next memory, and the attribute `memory_size` is the number of its units. A policy over
+skills also has the attribute `noise_size`.
 """
 
 import io
@@ -14,12 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.policy.skill_arrays import PREFIX, skill_of, strategy_of
 from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
+from league.snapshots.exports.networks import memory_units, noise_size
 
 
 def torchscript_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]) -> bytes:
     """Return the TorchScript file of one agent's network; the arguments are those of `onnx_bytes`."""
-    module = (_Recurrent if agent.get("recurrent") else _Plain)(arrays, agent).eval()
+    kind = _OverSkills if "over" in agent else _Recurrent if agent.get("recurrent") else _Plain
+    module = kind(arrays, agent).eval()
     data = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # torch advises torch.export; robots still load TorchScript
@@ -154,3 +158,63 @@ class _Recurrent(_Policy):
         """Return the actions (n, act) and the next memory (n, units)."""
         after = self.cell(self.features(observations), memory)
         return self.actions(self.out_norm(after), noise), after
+
+
+class _Skill(nn.Module):
+    """A skill, and what it sees of an observation and a command."""
+
+    source: Tensor  # (n,) places in the observation
+    target: Tensor  # (n,) places in the command
+    fill: Tensor  # (n,)
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]):
+        super().__init__()
+        self.policy = _Plain(arrays, agent)
+        self.size: int = agent["action"]
+        for name in ("source", "target"):
+            self.register_buffer(name, torch.tensor(arrays[name], dtype=torch.int64))
+        self.register_buffer("fill", torch.tensor(arrays["fill"]))
+
+    def forward(self, observations: Tensor, command: Tensor) -> Tensor:
+        """Return the mean actions (n, act), given both with a column of zeros at their ends."""
+        x = observations[:, self.source] + self.fill + command[:, self.target]
+        return self.policy(x, torch.zeros(x.shape[0], self.size, dtype=x.dtype, device=x.device))
+
+
+class _OverSkills(nn.Module):
+    """A policy over skills; see `agents.policy.skills`."""
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]):
+        super().__init__()
+        over = agent["over"]
+        self.memory_size: int = memory_units(agent)
+        self.noise_size: int = noise_size(agent)
+        self.strategy = _Plain(strategy_of(arrays), over["strategy"])
+        self.skills = nn.ModuleList(_Skill(skill_of(arrays, i), skill) for i, skill in enumerate(over["skills"]))
+        self.every, self.blend = float(over["every"]), bool(over["blend"])
+        self.reach = float(arrays[f"{PREFIX}reach"])
+        self.choices: int = over["choices"]
+        self.command: int = over["command"]
+
+    def forward(self, observations: Tensor, noise: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the actions (n, act) and the next memory (n, 1 + choices)."""
+        left, held = memory[:, :1], memory[:, 1:]
+        due = left < 1.0
+        choice = torch.where(due, self.strategy(observations, noise[:, : self.choices]), held)
+        after = torch.cat([left.masked_fill(due, self.every) - 1.0, choice], -1)
+        nothing = torch.zeros_like(left)
+        command = self.reach * choice[:, : self.command].clamp(-1.0, 1.0)
+        seen, commanded = torch.cat([observations, nothing], -1), torch.cat([command, nothing], -1)
+        scores = choice[:, self.command :]
+        weights = torch.softmax(scores, -1)
+        if not self.blend and scores.shape[1] > 0:
+            weights = torch.nn.functional.one_hot(scores.argmax(-1), scores.shape[1]).to(scores.dtype)
+        actions = choice
+        for i, skill in enumerate(self.skills):
+            own = skill(seen, commanded)
+            if len(self.skills) > 1:
+                share = weights[:, i : i + 1] * own
+                actions = share if i == 0 else actions + share
+            else:
+                actions = own
+        return actions, after

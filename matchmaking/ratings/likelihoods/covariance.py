@@ -1,10 +1,10 @@
 """Uncertainty of a fit: covariances of strengths, computed as far as they are requested.
 
 The covariance is the sandwich H⁻¹ B H⁻¹ (Huber 1967, White 1982), with H the information and B the information in which
-each pair's games are multiplied by their dispersion. For up to `information.MAX_DENSE` snapshots all of it is computed.
-For more, a single row is computed exactly, and the variances of all are estimated from random draws. Below P is the
-number of snapshots, D the number of (home, away) pairs, T the number of shared parameters (the side advantage γ, log ν
-and the logarithms of the other tie terms), G the number of populations.
+the games of each pair or lineup are multiplied by their dispersion. For up to `information.MAX_DENSE` snapshots all of
+it is computed. For more, a single row is computed exactly, and the variances of all are estimated from random draws.
+Below P is the number of snapshots, D the number of (home, away) pairs, T the number of shared parameters (the side
+advantage γ, log ν and the logarithms of the other tie terms), G the number of populations.
 """
 
 from functools import cached_property
@@ -35,7 +35,7 @@ class StrengthCovariance:
             problem: the likelihood that was fitted.
             x: (P + T,) position of its maximum.
             terms: the model there.
-            dispersion: (D,) of each pair's games.
+            dispersion: (D,) of each pair's games, or (R,) of each ranking.
             anchor: (P,) weights of the anchors, whose sum is 1.
         """
         self._problem, self._x, self._terms = problem, x, terms

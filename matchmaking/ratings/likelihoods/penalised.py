@@ -71,7 +71,10 @@ class PenalisedLikelihood(ABC):
 
     @abstractmethod
     def moments(self, terms: Any, dispersion: np.ndarray | None) -> Moments:
-        """Return the information of the games; each pair's games count times `dispersion` (D,) if given."""
+        """Return the information of the games.
+
+        Each pair's games count times `dispersion` (D,) if given, or each ranking times that of its lineup (R,).
+        """
 
     @property
     @abstractmethod
@@ -95,7 +98,7 @@ class PenalisedLikelihood(ABC):
     def information(self, x: np.ndarray, terms: Any, dispersion: np.ndarray | None = None) -> np.ndarray:
         """Return the Fisher information (P + T, P + T).
 
-        Each pair's games count times `dispersion` (D,) if given, the prior's games once.
+        Games count times `dispersion` if given, see `moments`, the prior's games once.
         """
         P, prior, moments = self.size, self.prior, self.moments(terms, dispersion)
         virtual = prior.games * even_variance(self._virtual(x))

@@ -7,7 +7,7 @@ import torch
 
 from agents.learner.happo import HappoLearner
 from agents.policy.constant_inputs import silence_constant_inputs
-from agents.policy.entities import own_numbers
+from agents.policy.entity_places import own_numbers, places, refitted
 from agents.policy.jax_policy import distribution, policy_params
 from agents.policy.networks import Actor
 from agents.settings import Architecture, HappoConfig
@@ -144,3 +144,68 @@ def test_a_learner_keeps_its_sets_and_refuses_others():
         np.testing.assert_array_equal(other.export()[0][name], values, err_msg=name)
     with pytest.raises(ValueError, match="index"):
         learner((SETS[0][::-1], SETS[1])).load(one.save())
+
+
+# Other numbers of entities --------------------------------------------------------------------------------------------
+
+MORE = (((2, 3), (4, 5), (6, 7), (12, 13)), ((8, 11), (9, 10)))  # four and two, the second set at other places
+FEWER = (((2, 3), (4, 5)), ((6, 8), (7, 9)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_policy_sees_more_entities_as_it_saw_fewer(kind):
+    arrays = {name: value.numpy() for name, value in actor(KINDS[kind]).state_dict().items()}
+    seen = observations()
+    more = np.zeros((len(seen), 14), np.float32)
+    more[:, [*range(8), 8, 11, 9, 10]] = seen[:, [*range(8), 8, 10, 9, 11]]  # the fourth of the first set is absent
+    grown = refitted({f"a.{k}": v for k, v in arrays.items()}, "a.", places(MORE, 14))
+    grown = {name.removeprefix("a."): value for name, value in grown.items()}
+    memory = np.zeros((len(seen), 4), np.float32)
+    for one, other in zip(
+        distribution(policy_params(arrays), seen, memory), distribution(policy_params(grown), more, memory), strict=True
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+    more[:, 12:] = 0.7  # and has an effect where it is there, which that of an equal one elsewhere in the set equals
+    same = more.copy()
+    same[:, [2, 3, 12, 13]] = more[:, [12, 13, 2, 3]]
+    first, second = (distribution(policy_params(grown), x, memory)[0] for x in (more, same))
+    if kind != "elu, recurrent":  # which acts by its memory alone
+        assert np.abs(first - distribution(policy_params(arrays), seen)[0]).max() > 0.01
+    np.testing.assert_allclose(first, second, atol=1e-5)
+    back = refitted(grown, "", places(SETS, SIZE))
+    assert back.keys() == arrays.keys()
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(back[name], value, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("sets", "size", "problem"),
+    [
+        (SETS[:1], SIZE, "2 sets of entities there and 1 here"),
+        ((), SIZE, "sets of entities there, and none here"),
+        (SETS, SIZE + 1, "2 numbers of its observation belong to no entity there, and 3 here"),
+        ((((2, 3),), ((4, 5, 6),)), 7, "an entity of set 1 has 2 numbers there and 3 here"),
+    ],
+)
+def test_sets_that_differ_in_more_than_their_numbers_are_refused(sets, size, problem):
+    arrays = {name: value.numpy() for name, value in actor(KINDS["plain"]).state_dict().items()}
+    with pytest.raises(ValueError, match=problem):
+        refitted(arrays, "", places(sets, size))
+
+
+def test_a_learner_goes_on_from_one_that_saw_fewer_entities():
+    config = HappoConfig(Architecture((8,), entities=4), normalise_observations=True)
+    of_three, of_two = (
+        HappoLearner((size, size), (2, 2), config, seed=seed, entities=[sets, sets])
+        for size, sets, seed in ((SIZE, SETS, 1), (10, FEWER, 2))
+    )
+    state = of_two.save()
+    state["actor.1.trunk.observation_mean"][:] = [1, 2, 3, 4, 3, 4, 5, 5, 6, 6]
+    state["actor.1.observed"][:] = [7, 7, 8, 8, 8, 8, 9, 9, 9, 9]
+    of_three.warm_start([(state, 1), None], None, from_other_arena=True)
+    found = of_three.save()
+    assert found["actor.0.trunk.observation_mean"].tolist() == [1, 2, 3, 4, 3, 4, 3, 4, 5, 5, 6, 6]
+    assert found["actor.0.observed"].tolist() == [7, 7, 8, 8, 8, 8, 8, 8, 9, 9, 9, 9]
+    for name in ("mean.weight", "trunk.hidden.0.weight", "trunk.entities.1.layers.1.weight"):
+        np.testing.assert_array_equal(found[f"actor.0.{name}"], state[f"actor.1.{name}"], err_msg=name)
+    assert not np.array_equal(found["actor.1.mean.weight"], state["actor.1.mean.weight"])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.bridge import to_jax
-from agents.policy.jax_policy import PolicyStack, act, distribution, policy_params, sample, stack_policies
+from agents.policy.jax_policy import PolicyStack, decide, distribution, policy_params, sample, stack_policies
 from agents.policy.networks import Actor
 from agents.settings import ACTIVATIONS, Architecture
 
@@ -127,7 +127,8 @@ def play(stack: PolicyStack, groups: int) -> tuple[np.ndarray, np.ndarray, jax.A
     """Actions (K, n, act), densities (K, n), and the observations and keys that led to them."""
     observations = jax.random.normal(jax.random.key(4), (groups * WORLDS, 20))
     keys = jax.random.split(jax.random.key(5), groups * WORLDS)
-    actions, log_probs = jax.jit(act, static_argnums=3)(stack, observations, keys, SCRIPTS)
+    found = jax.jit(decide, static_argnums=3)(stack, observations, keys, SCRIPTS)
+    actions, log_probs = found.actions, found.log_probs
     shaped = (x.reshape(groups, WORLDS, *x.shape[1:]) for x in (observations, keys))
     return np.asarray(actions).reshape(groups, WORLDS, 2), np.asarray(log_probs).reshape(groups, WORLDS), *shaped
 
@@ -172,7 +173,7 @@ def test_a_script_is_computed_only_in_the_groups_where_it_sits(member):
 
     observations = jnp.repeat(jnp.arange(4.0), WORLDS)[:, None] * jnp.ones(20)
     keys = jax.random.split(jax.random.key(0), 4 * WORLDS)
-    jax.block_until_ready(act(stack_policies([member("a"), 0, member("b"), 0]), observations, keys, (script,)))
+    jax.block_until_ready(decide(stack_policies([member("a"), 0, member("b"), 0]), observations, keys, (script,)))
     jax.effects_barrier()
     assert sorted(asked) == [1.0] * WORLDS + [3.0] * WORLDS
 

@@ -12,7 +12,7 @@ import arenas
 from agents.batch import clean
 from agents.bridge import team_batch, to_jax
 from agents.learner.happo import HappoLearner
-from agents.policy.jax_policy import PolicyStack, act, memory_size, policy_params, stack_policies, update_memory
+from agents.policy.jax_policy import PolicyStack, decide, memory_size, policy_params, stack_policies, update_memory
 from agents.rollout.rollout import Trajectory, Worlds, make_play, make_reset, make_restart, make_rollout, with_memory
 from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
@@ -189,7 +189,7 @@ def test_a_part_of_a_crew_writes_no_further_than_its_own_memory(member):
 
 def test_who_should_remember_cannot_act_without_memory(member):
     with pytest.raises(ValueError, match="give it its memory"):
-        act(stack_policies([member("small")]), jnp.zeros((2, 2)), jax.random.split(jax.random.key(0), 2))
+        decide(stack_policies([member("small")]), jnp.zeros((2, 2)), jax.random.split(jax.random.key(0), 2))
 
 
 # A game for who remembers ---------------------------------------------------------------------------------------------

@@ -133,7 +133,7 @@ def test_the_first_decision_sets_masses_and_friction_and_later_ones_nothing(both
         first.physics.model["geom_friction"][0, 1:, 0], 2.0 * model.geom_friction[1:, 0], rtol=1e-6
     )
     np.testing.assert_allclose(first.physics.model["geom_friction"][0, 0], model.geom_friction[0], rtol=1e-6)
-    np.testing.assert_allclose(first.game.factors, [[2.0, 3.0]] * 3)
+    np.testing.assert_allclose(first.game.nature.factors, [[2.0, 3.0]] * 3)
     np.testing.assert_allclose(first.observations["nature/0"][:, -2:], [[2.0, 3.0]] * 3)
     _, step, restart = compiled(both)
     again = step(first, zeros(both, nature_1=[-1.0, -1.0]))

@@ -252,6 +252,16 @@ def test_four_are_ranked(four):
     np.testing.assert_allclose(mean_pairwise_score(verdict.score), [1 / 3, 1, 2 / 3, 0], rtol=1e-6)
 
 
+def test_places_for_drones_that_do_not_race_are_zeros():
+    roomy = replace(RaceSettings(), teams=1, room=3).build(engine="c", worlds=1)
+    four = replace(RaceSettings(), teams=4).build(engine="c", worlds=1)
+    alone = RaceSettings(teams=1).build(engine="c", worlds=1)
+    assert roomy.observation_size("blue/0") == four.observation_size("blue/0")
+    seen, own = (np.asarray(arena.reset(jax.random.key(0)).observations["blue/0"]) for arena in (roomy, alone))
+    assert (seen[: len(own)] == own).all()
+    assert not seen[len(own) :].any()
+
+
 def test_one_alone_succeeds_with_the_lap():
     alone = RaceSettings(teams=1).build(engine="c", threads=1)
     before, after = {0: (0.95, -1.0, 2.0)}, {0: (1.05, -1.0, 2.0)}

@@ -212,6 +212,29 @@ def test_each_seating_is_a_row_of_its_own_with_the_ranks_of_its_teams(three, tmp
     assert [row.rankings for row in rows] == [{(1, 2, 3): 1, (1, 1, 3): 1}, {(1, 1, 1): 1}, {(1, 3, 1): 1}]
     assert [(row.voids, row.voids_by_team) for row in rows] == [(0, (0, 0, 0)), (1, (0, 1, 0)), (1, (0, 0, 0))]
     assert [(row.steps, row.seed, row.due) for row in rows] == [(1, 5, 7.0), (5, 5, 7.0), (9, 5, 7.0)]
+    assert [row.seed_clusters for row in rows] == [{}, {}, {}]  # each of the two seeds has a void
+
+
+def test_the_first_seating_has_the_rankings_of_each_seed_as_ranks_of_its_snapshots(three, tmp_path):
+    score = np.zeros((12, 3))
+    score[6:] = [[0, -1, -2], [0, -1, -2], [0, -1, -2], [-1, -1, 0], [0, -1, -2], [-3, 0, 0]]
+    void = np.zeros(12, bool)
+    played = PlayedEpisodes(
+        score=score, void=void, at_fault=np.zeros((12, 3), bool), decisions=np.arange(12), frames=(), actions={},
+        reward=np.zeros(0), running=np.zeros(0),
+    )  # fmt: skip
+    seating, task = [*three.side_orders(P, P, P), *three.side_orders(P, Q, R)], RatingMatch((("p", "q", "r"),), 5)
+    with Store.open(tmp_path / "store", create=True) as store:
+        rows = three.ranked_matches(store, played, 1, seating, task)
+        (alone,) = three.ranked_matches(store, played, 0, seating, task)
+    # Seed 0: 1, 2, 3 in each seating. Seed 1: first 1, 2, 3; then q, r tie behind p; then r behind p, q.
+    rotated = ((1, 2, 3), (3, 1, 2), (2, 3, 1))
+    assert [row.seed_clusters for row in rows] == [{rotated: 1, ((1, 2, 3), (1, 2, 2), (1, 1, 3)): 1}, {}, {}]
+    assert alone.seed_clusters == {}
+    void[9] = True
+    with Store.open(tmp_path / "store") as store:
+        rows = three.ranked_matches(store, played, 1, seating, task)
+    assert [row.seed_clusters for row in rows] == [{rotated: 1}, {}, {}]
 
 
 def test_scripts_of_three_teams_play_and_the_better_one_is_ahead(three, tmp_path):

@@ -2,11 +2,13 @@
 
 import re
 
+import numpy as np
 import pytest
 
 import arenas
 from arenas.errors import ArenaError
 from scripts import arena_pages, script_tournament
+from storage.records import ArenaKey, RankedMatch
 from tests.arenas import race, solo
 
 
@@ -90,9 +92,46 @@ def test_pucks_race():
     assert table["sprinter"][table[""].index("idle")].startswith("100.0 %")
 
 
-def test_three_teams_have_no_table():
-    with pytest.raises(ArenaError, match="one team or two, and here are 3"):
-        script_tournament.pairs([{"idle": "idle"}] * 3)
+def test_one_of_three_teams_plays_a_script_against_two_with_another():
+    settings = arenas.settings("tag")
+    arena = settings.build(engine="c", threads=1)
+    found = script_tournament.play(arena, settings, 24, asked=["tagger:idle", "idle:tagger"])
+    text = script_tournament.markdown(found)
+    assert "one team with the row's script against 2 with the column's in `tag`" in text
+    assert "24 episodes of each pair on engine `c`" in text
+    table = rows(text)
+    places = {name: table[""].index(name) for name in ("idle", "tagger", "chaser")}
+    ahead, behind = (float(table[a][places[b]].split()[0]) for a, b in (("tagger", "idle"), ("idle", "tagger")))
+    assert ahead > 75 > 25 > behind
+    assert table["tagger"][places["tagger"]] == "–"
+    assert table["tagger"][places["chaser"]] == ""
+    assert found.one_against_all["tagger", "idle"].games == 24
+
+
+def test_the_score_of_one_team_is_the_mean_over_the_others_and_its_interval_of_seeds():
+    def match(names: str, rankings: dict, seeds: dict | None = None) -> RankedMatch:
+        return RankedMatch(
+            "x", ArenaKey("tag", "0", "c"), tuple(names), rankings, 1, (0, 0, 0), 1, seed_clusters=seeds or {}
+        )
+
+    first, tied = (1, 2, 3), (2, 1, 2)
+    # Seeds: a ahead of both others in all rotations, or between one and a tie with the other: 1 and ¼.
+    seeds = {(first, first, first): 4, (tied, tied, tied): 4}
+    rotations = [match("abb", {first: 4, tied: 4}, seeds), match("bab", {(2, 1, 3): 4, (1, 2, 2): 4})]
+    score = script_tournament.alone("a", rotations)
+    assert (score.score, score.games, score.voids) == (pytest.approx(0.625), 16, 2)
+    z2, mean, squares = 1.959964**2, 0.625, 8 * 0.375**2
+    n = 8 * (8 + z2) / (squares / (mean * (1 - mean)) + z2)
+    half = np.sqrt(z2 * (n * mean * (1 - mean) + z2 / 4)) / (n + z2)
+    assert score.high - score.low == pytest.approx(2 * half, abs=1e-6)
+    won = script_tournament.alone("a", [match("abb", {first: 4}, {(first, first, first): 4})])
+    assert (won.score, won.low) == (1.0, pytest.approx(4 / (4 + z2)))  # Wilson's interval of 4 games
+    assert np.isnan(script_tournament.alone("a", [match("abb", {})]).score)
+
+
+def test_three_unlike_teams_have_no_table():
+    with pytest.raises(ArenaError, match="one team, two, or equal ones, and here are 3"):
+        script_tournament.pairs([{"idle": "idle"}, {"idle": "idle"}, {"idle": "idle:red"}])
     with pytest.raises(ArenaError, match="for each of the teams"):
         script_tournament.pairs([{"idle": "idle:blue"}, {}])
 

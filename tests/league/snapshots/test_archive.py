@@ -10,12 +10,12 @@ from league.config import experiment as configuration
 from league.snapshots import archive
 from storage.errors import StorageError, UnknownName
 from storage.maintenance import archive as archives
-from storage.records import Match, Player, Snapshot
+from storage.records import ArenaKey, Match, Player, RankedMatch, Snapshot
 from storage.store import Store
 from tests.conftest import SERVER, server_place
 from tests.league.conftest import BODILESS, call
 from tests.league.leagues import finish, match
-from tests.league.packs import assert_rated_alike, curriculum, refused, rows
+from tests.league.packs import assert_rated_alike, curriculum, league_of, refused, rows
 from tests.league.snapshots.test_archive_refused import edited, rebuilt
 
 
@@ -56,6 +56,21 @@ def test_a_pack_from_before_void_causes_were_kept_still_arrives(tmp_path, packed
     with Store.open(tmp_path / "source") as source, Store.open(tmp_path / "target") as there:
         assert len(there.matches("cup")) == 5
         assert rows(there)["matches"] == rows(source)["matches"]
+
+
+def test_a_pack_from_before_seeds_of_rankings_were_kept_still_arrives(tmp_path):
+    cup = RankedMatch(
+        "cup", ArenaKey("tag", "beef", "c"), ("red@0", "blue@0", "red@4"), {(1, 2, 3): 2}, 0, (0, 0, 0), 1,
+        seed_clusters={((1, 2, 3), (2, 1, 3)): 1},
+    )  # fmt: skip
+    with league_of(tmp_path / "source") as source:
+        finish(source, "lineup", matches=[cup])
+        archive.pack(source, tmp_path / "pack.zip")
+    without = {"rows/ranked_matches.jsonl": edited(',"seed_clusters":{"1,2,3;2,1,3":1}', "")}
+    rebuilt(tmp_path / "pack.zip", without, manifest=lambda m: m.update(schema=8), honest=True)
+    archive.unpack(tmp_path / "pack.zip", str(tmp_path / "target"), str(tmp_path / "target" / "blobs"))
+    with Store.open(tmp_path / "target") as there:
+        assert [(m.rankings, m.seed_clusters) for m in there.ranked_matches("cup")] == [(cup.rankings, {})]
 
 
 def test_back_from_there_it_is_the_same_archive(tmp_path, packed, target):

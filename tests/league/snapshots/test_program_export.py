@@ -17,10 +17,10 @@ from agents.policy.networks import Actor
 from agents.rollout.rollout import make_play
 from agents.settings import Architecture
 from arenas.rosters import AgentSizes, roster_text
+from league.snapshots.exports.networks import agents_of
 from league.snapshots.exports.numpy_export import numpy_lines
 from league.snapshots.exports.onnx_export import onnx_bytes
 from league.snapshots.exports.torchscript_export import torchscript_bytes
-from league.snapshots.policy_file import agents_of
 from league.snapshots.programs.stored import host_policies, read
 from tests.arenas.echo import EchoSettings
 

@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from storage.database import schema
 from storage.database.urls import blobs_are_exclusive, database_url
 from storage.errors import NewerStore, NotAStore, OldStore, OutdatedStore, StorageError, Unavailable
-from storage.records import League
+from storage.records import ArenaKey, League, RankedMatch
 from storage.store import Store
 from tests.storage.conftest import fill, finish_a_job, match
 
@@ -143,12 +143,12 @@ def test_a_full_disk_is_one_line_and_writes_nothing(tmp_path: Path):
 
 def test_a_newer_store_is_refused_and_both_schemas_named(place: tuple[str, str], monkeypatch: pytest.MonkeyPatch):
     where, blobs = place
-    monkeypatch.setattr(schema, "MIGRATIONS", [print] * 7)
+    monkeypatch.setattr(schema, "MIGRATIONS", [print] * 9)
     Store.open(where, create=True, blobs=blobs).close()
     monkeypatch.undo()
     for create in (False, True):
         known = schema.newest_schema()
-        with pytest.raises(NewerStore, match=f"has schema 9, but this program knows only up to {known}: update"):
+        with pytest.raises(NewerStore, match=f"has schema 11, but this program knows only up to {known}: update"):
             Store.open(where, create=create, blobs=blobs)
 
 
@@ -203,6 +203,24 @@ def test_a_store_of_schema_2_is_brought_up_to_date_and_its_matches_cost_what_nob
         assert db.execute("SELECT max(schema) FROM robot_league").fetchone() == (2,)
         assert db.execute("SELECT seed FROM matches").fetchall() == [(1,)]
         db.close()
+
+
+def test_a_store_of_schema_8_is_brought_up_to_date_and_its_rankings_share_no_seeds(place: tuple[str, str]):
+    where, blobs = place
+    rankings = {(1, 2, 3): 2}
+    row = RankedMatch("cup", ArenaKey("tag", "beef", "c"), ("blue@0", "red@0", "blue@0"), rankings, 0, (0, 0, 0), 1)
+    with Store.open(where, create=True, blobs=blobs) as store:
+        fill(store)
+        finish_a_job(store, matches=[row])
+        with store._db.writing() as db:
+            db.execute(sa.text("ALTER TABLE ranked_matches DROP COLUMN seed_clusters"))
+            db.execute(sa.update(schema.changes).where(schema.changes.c.schema > 0).values(schema=8))
+    shared = {((1, 2, 3), (2, 1, 3)): 1}
+    with Store.open(where, blobs=blobs, migrate=True) as store:
+        finish_a_job(store, matches=[replace(row, seed=2, seed_clusters=shared)])
+        assert [(m.seed, m.rankings, m.seed_clusters) for m in store.ranked_matches("cup")] == [
+            (1, rankings, {}), (2, rankings, shared),
+        ]  # fmt: skip
 
 
 def add_notes(db: sa.Connection) -> None:
@@ -321,7 +339,7 @@ def test_a_store_that_was_made_in_another_encoding_still_opens(
         assert {league.name for league in store.leagues()} == {"cup", "café"}
 
 
-@pytest.mark.parametrize("schema", [1, 9, None])
+@pytest.mark.parametrize("schema", [1, 99, None])
 @pytest.mark.parametrize("create", [False, True])
 def test_nothing_is_left_beside_a_file_that_is_refused(tmp_path: Path, schema: int | None, create: bool):
     Store.open(tmp_path, create=True).close()

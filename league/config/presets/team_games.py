@@ -1,0 +1,86 @@
+"""Presets of games of many or unlike teams: tag, races through gates, a swarm."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
+
+from agents.settings import Architecture, HappoConfig
+from league.config.experiment import Config, default
+from league.config.sections import Budget
+from league.config.stages import Stage
+from matchmaking.opponents import Opponents
+
+if TYPE_CHECKING:
+    from arenas.games.race.settings import RaceSettings
+
+
+def tag() -> Config:
+    """Tag of three pucks, free for all: two minutes on two cores, then ratings.
+
+    All are equally fast, so noise in the direction of a thrust decides games (docs/arenas/tag.md): there is no bonus
+    for entropy, and steps follow the KL divergence. In half of the worlds the others are two scripts `tagger`, who
+    chase better than beginners do, so that fleeing is learnt sooner.
+    """
+    config = default("tag")
+    learner = replace(
+        config.learner, gamma=0.99, entropy_coef=0.0, initial_std=0.4, desired_kl=0.01,
+    )  # fmt: skip
+    opponents = Opponents("fixed", victim="tagger", past=0.5)
+    training = replace(config.training, shaping_steps=2_000_000, opponents=opponents)
+    budget = Budget(training_time="2m", rating_time="1m")
+    return replace(config, league="tag", learner=learner, training=training, budget=budget)
+
+
+def swarm() -> Config:
+    """Eight pucks that want to reach a zone, and two rovers that guard it: networks of sets, one for all pucks and one
+    for both rovers, so that they can play in other numbers; for a GPU.
+    """
+    config = default("swarm")
+    learner = HappoConfig(
+        Architecture((128, 128), entities=32), share_actors=True, lr=5e-4, critic_lr=1e-3, gamma=0.99,
+        entropy_coef=0.001, initial_std=0.5,
+    )  # fmt: skip
+    training = replace(config.training, shaping_steps=20_000_000, snapshots_per_doubling=2)
+    budget = Budget(training_time="20m", rating_time="2m")
+    return replace(config, league="swarm", learner=learner, training=training, budget=budget)
+
+
+def gate_race() -> Config:
+    """Two drones that race through gates: each learns to fly the track alone, then they race. For a GPU."""
+    return _in_stages(gate_race_sparse(), "gate-race")
+
+
+def gate_race_4() -> Config:
+    """Four drones that race through gates, each a team of its own, and are ranked, by the same stages; for a GPU."""
+    return _in_stages(_race("gate-race-4"), "gate-race-4")
+
+
+def gate_race_sparse() -> Config:
+    """Two drones that race through gates from nothing and are paid for places alone, as in 2512.11781; for a GPU.
+
+    Its networks and batches are smaller than the paper's (512, 512, 256, 128; 10,240 worlds of 16 decisions). With
+    `--arena.teams 1` a drone learns alone, and with `--arena.rules.walls true` there are walls.
+    """
+    return _race("gate-race")
+
+
+def _in_stages(race: Config, league: str) -> Config:
+    """Return the race as the second stage; in the first a drone learns alone, by the dense reward."""
+    teams = cast("RaceSettings", race.arena).teams
+    dense = {"progress": 1.0, "first": 0.0, "later": 0.0, "lap": 0.0}
+    alone = {
+        "arena": {"teams": 1, "room": teams - 1, "reward": dense},
+        "training": {"shaping_steps": 10**12},  # the dense reward stays
+        "budget": {"success": 0.9, "steps": 400_000_000, "training_time": "none"},
+    }  # fmt: skip
+    return replace(race, league=league, stages=(Stage("alone", alone), Stage("race", {})))
+
+
+def _race(arena: str) -> Config:
+    config = default(arena)
+    learner = HappoConfig(
+        Architecture((256, 256, 128), "elu"), lr=3e-4, critic_lr=5e-4, gamma=0.99, initial_std=0.5, desired_kl=0.01,
+        normalise_observations=True,
+    )  # fmt: skip
+    training = replace(config.training, rollout_length=24, snapshots_per_doubling=2)
+    budget = Budget(training_time="20m", rating_time="2m")
+    return replace(config, league=arena, learner=learner, training=training, budget=budget)
