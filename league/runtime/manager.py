@@ -168,7 +168,7 @@ class Manager:
             self.store.queue((), [phase])
             left = phase.until["seconds"]
             self._rating_until = sys.float_info.max if left is None else time.monotonic() + left
-        late = self._late()
+        late = self._late() and not self._awaits_first_match(state)
         wanted = (
             match_scheduler.next_matches(self.config, state, progress)
             if self.config.workers.match and not late
@@ -185,6 +185,12 @@ class Manager:
     def _late(self) -> bool:
         """Return whether the time for rating after training is over."""
         return time.monotonic() > self._rating_until
+
+    def _awaits_first_match(self, state: LeagueState) -> bool:
+        """Return whether the league's first rating match is queued or played: on a slow machine compiling alone may
+        outlast the time for rating, and then there would be neither a rating nor a recording.
+        """
+        return self.config.budget.rate_seconds > 0 and not state.played and match_scheduler.is_rating(state)
 
     # Processes -------------------------------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 import multiprocessing
 import signal
 import threading
+import time
 from dataclasses import replace
 from multiprocessing.synchronize import Event
 
@@ -64,7 +65,7 @@ def test_what_is_told_at_the_end_has_the_batch_that_was_being_played_when_time_w
     """A run with "done · 0 rated episodes" above a table of 512: the line was told before workers had ended."""
     where, told = tmp_path / "store", []
     config = replace(presets.preset("quickstart"), league="cup", budget=Budget(steps=1, rating_time="1s"))
-    with filled(where) as store:
+    with filled(where, match("blue@1", "red@1", 64, 64)) as store:
         manager = Manager(store, RunSpec.of(str(where), config), config)
         context = multiprocessing.get_context("spawn")
         ready = context.Event()
@@ -73,5 +74,29 @@ def test_what_is_told_at_the_end_has_the_batch_that_was_being_played_when_time_w
         assert ready.wait(60)
         manager._slots[:] = [_Slot((RatingMatch.kind,), 0, process)]
         assert manager.run(lambda state, stage, _: told.append((stage, state.ladder.payoff.home.sum()))) == "done"
-    assert told[-2:] == [("ending", 0), ("done", 256)]
+    assert told[-2:] == [("ending", 64), ("done", 64 + 256)]
     assert {stage for stage, _ in told[:-2]} == {"rating"}
+
+
+def play_after(where: str, seconds: float) -> None:
+    """A worker that takes a rating batch and needs so long for it."""
+    with Store.open(where) as store:
+        claimed = None
+        while claimed is None:
+            claimed = store.claim("cup", [RatingMatch.kind], "elsewhere:1:match0", 60)
+            time.sleep(0.02)
+        time.sleep(seconds)
+        store.finish(claimed[0], matches=[match("blue@4", "red@4", 256, 256)])
+
+
+def test_the_first_match_of_a_league_is_waited_for_when_the_time_for_rating_is_over(tmp_path):
+    where, told = tmp_path / "store", []
+    config = replace(presets.preset("quickstart"), league="cup", budget=Budget(steps=1, rating_time="1s"))
+    with filled(where) as store:
+        manager = Manager(store, RunSpec.of(str(where), config), config)
+        manager._slots.clear()
+        worker = threading.Thread(target=play_after, args=(str(where), 3.0))
+        worker.start()
+        assert manager.run(lambda state, stage, _: told.append((stage, state.ladder.payoff.home.sum()))) == "done"
+        worker.join()
+    assert told[-1] == ("done", 256)
