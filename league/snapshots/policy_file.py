@@ -164,10 +164,10 @@ def read(path: Path) -> Policy:
     except (KeyError, ValueError, TypeError, RecursionError, struct.error):
         raise ExchangeError(f"{path} was not written by `league export`: it does not tell of a {KEY}.") from None
     try:
-        _examine(found, about)
+        agents = _examine(found, about)
     except (ValueError, TypeError, LookupError, OverflowError) as error:
         raise ExchangeError(f"{path} is damaged: {shortened(error)}.") from None
-    return Policy(found, about)
+    return Policy(found, {**about, "agents": agents})
 
 
 def _metadata(data: bytes) -> Mapping[str, str]:
@@ -175,8 +175,11 @@ def _metadata(data: bytes) -> Mapping[str, str]:
     return json.loads(data[8 : 8 + size])["__metadata__"]
 
 
-def _examine(found: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
-    """Check that arrays and metadata are of one policy. Raises ValueError, or ExchangeError for a newer format."""
+def _examine(found: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Check that arrays and metadata are of one policy, and describe its agents' networks by the arrays alone.
+
+    Raises ValueError, or ExchangeError for a newer format.
+    """
     if not isinstance(about, dict):
         raise ValueError("what it tells of itself is no object")
     number = about["format"]
@@ -200,9 +203,10 @@ def _examine(found: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
             raise ValueError("its arena is not given by name, configuration hash and engine")
         if not all(isinstance(value, str) and value.isprintable() for value in arena.values()):
             raise ValueError("its arena is not given as text")
-    agents_of(found, about["roster"])
+    agents = agents_of(found, about["roster"])
     if hashlib.sha256(arrays.to_bytes(found)).hexdigest() != about["digest"]:
         raise ValueError("its parameters are not those that were exported")
+    return agents
 
 
 # Importing -----------------------------------------------------------------------------------------------------------
