@@ -68,9 +68,7 @@ def team_batch(
     """
     names = {agent.name for t in (team, *others, *common) for agent in t.agents}
     trajectory = select_worlds(select_agents(trajectory, names, privileged), worlds)
-    if every > 1:
-        trajectory = at_command_clock(trajectory, every, gamma)
-
+    trajectory = at_command_clock(trajectory, every, gamma) if every > 1 else trajectory
     rewards, terminated, void = map(to_torch, _rewards(select_agents(trajectory), index, shaping, void_penalty))
     critic_views = _common_views(trajectory, common, index, shaping, void_penalty)
     if privileged:

@@ -36,6 +36,7 @@ TICK = 0.2  # seconds between two reads of the store
 LEASE = 15.0  # seconds for which a manager leads without renewing its lease
 SILENT = 3 * BEAT  # seconds without a heartbeat after which a process that cannot be found counts as dead
 GRACE = 60.0  # seconds in which a worker has to finish its iteration
+FIRST_MATCH = 600.0  # seconds after the time for rating in which a league's first match is waited for
 MAX_RESTARTS = 5  # in a row, each within RESTART_WINDOW: then a restart does not solve the problem
 RESTART_WINDOW = 30.0
 REST = 300.0  # seconds until an unfit worker, which could not do jobs that others can do, is started again
@@ -187,10 +188,14 @@ class Manager:
         return time.monotonic() > self._rating_until
 
     def _awaits_first_match(self, state: LeagueState) -> bool:
-        """Return whether the league's first rating match is queued or played: on a slow machine compiling alone may
-        outlast the time for rating, and then there would be neither a rating nor a recording.
+        """Return whether the league's first rating match is queued or played, for FIRST_MATCH more at most: on a slow
+        machine compiling alone may outlast the time for rating, and then there would be neither rating nor recording.
         """
-        return self.config.budget.rate_seconds > 0 and not state.played and match_scheduler.is_rating(state)
+        plays = self.config.budget.rate_seconds > 0 and self.config.workers.match > 0
+        return (
+            plays and not state.played and match_scheduler.is_rating(state)
+            and time.monotonic() < self._rating_until + FIRST_MATCH
+        )  # fmt: skip
 
     # Processes -------------------------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -202,11 +203,7 @@ def fit(
     x = maximise(problem) if chosen_prior.any() or not P else undefeated.maximum(problem, payoff)
     terms = problem.terms(x)
     common = weights.mean(0)
-    if isinstance(problem, PlackettLuce):
-        dispersion = of_rankings(problem, terms, payoff.rankings)
-    else:
-        dispersion = of_pairs(payoff, terms, Clusters.of(payoff) if clusters is None else clusters)
-    strength_covariance = StrengthCovariance(problem, x, terms, dispersion, common)
+    strength_covariance = StrengthCovariance(problem, x, terms, _dispersion(problem, payoff, terms, clusters), common)
     theta = ELO * x[:P]
     means, played = weights @ theta, payoff.played
     with np.errstate(invalid="ignore"):
@@ -227,6 +224,13 @@ def likelihood(payoff: Payoff, prior: Prior, sides: bool = True) -> PenalisedLik
     if payoff.rankings:
         return PlackettLuce(payoff.rankings, len(payoff.names), prior)
     return Likelihood.of(payoff, prior, sides)
+
+
+def _dispersion(problem: PenalisedLikelihood, payoff: Payoff, terms: Any, clusters: Clusters | None) -> np.ndarray:
+    """Return the dispersion of each ranking, or of the games of each pair."""
+    if isinstance(problem, PlackettLuce):
+        return of_rankings(problem, terms, payoff.rankings)
+    return of_pairs(payoff, terms, Clusters.of(payoff) if clusters is None else clusters)
 
 
 def _prior(payoff: Payoff, prior: Prior | float) -> Prior:

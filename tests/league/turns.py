@@ -24,11 +24,12 @@ def settings(schedule=Schedule(), opponents=Opponents(), **changes):  # noqa: B0
     return replace(config, deterministic=True, training=training, budget=configuration.Budget(steps=10**9))
 
 
-def new_store(place, arena):
-    """A store with the league, and a main player in each of the arena's teams."""
+def new_store(place, arena, config=None):
+    """A store with the league, or that of a configuration, and a main player in each of the arena's teams."""
+    league, text = (LEAGUE, "") if config is None else (config.league, configuration.dumps(config))
     store = Store.open(place, create=True)
-    store.create_league(League(LEAGUE, ""))
-    store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
+    store.create_league(League(league, text))
+    store.add_players([Player(league, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
     return store
 
 

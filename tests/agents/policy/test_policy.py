@@ -127,14 +127,16 @@ def play(stack: PolicyStack, groups: int) -> tuple[np.ndarray, np.ndarray, jax.A
     """Actions (K, n, act), densities (K, n), and the observations and keys that led to them."""
     observations = jax.random.normal(jax.random.key(4), (groups * WORLDS, 20))
     keys = jax.random.split(jax.random.key(5), groups * WORLDS)
-    found = jax.jit(decide, static_argnums=3)(stack, observations, keys, SCRIPTS)
+    found = jax.jit(lambda *given: decide(*given, SCRIPTS))(stack, observations, keys)
     actions, log_probs = found.actions, found.log_probs
     shaped = (x.reshape(groups, WORLDS, *x.shape[1:]) for x in (observations, keys))
     return np.asarray(actions).reshape(groups, WORLDS, 2), np.asarray(log_probs).reshape(groups, WORLDS), *shaped
 
 
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])  # scripts group by group, or for all groups at once
 @pytest.mark.parametrize("who", [["a"], ["a", "b", "a"], ["wide", "a", 1, "norm", 0, "b"], [1, "wide"], [0, 1]])
-def test_policies_of_all_shapes_and_scripts_act_in_one_crew(who, member):
+def test_policies_of_all_shapes_and_scripts_act_in_one_crew(who, backend, member, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     actions, log_probs, observations, keys = play(stack_policies([member(name) for name in who]), len(who))
     for k, name in enumerate(who):
         if isinstance(name, int):
@@ -164,7 +166,8 @@ def test_who_sits_where_never_changes_the_shapes_that_were_compiled(member):
     assert shapes(stack_policies([member("a"), member("b"), member("a")])) != full
 
 
-def test_a_script_is_computed_only_in_the_groups_where_it_sits(member):
+def test_on_a_cpu_a_script_is_computed_only_in_the_groups_where_it_sits(member, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     asked = []
 
     def script(observation, key):

@@ -105,6 +105,11 @@ def test_only_warp_has_meters():
         with_meters(arenas.load("sumo-1v1", engine="c"), 4)
 
 
+def test_the_meters_are_of_an_engine_that_pushes_the_same_bodies():
+    arena = arenas.load("disturbance", engine="warp")
+    assert with_meters(arena, 4).engine.pushed == arena.engine.pushed != ()
+
+
 @pytest.mark.slow
 def test_the_check_ends_with_the_buffer_that_is_full():
     *before, last = check_arena(short("sumo-1v1", 1.0, contacts=1))

@@ -138,7 +138,7 @@ SHORT = TagSettings(rules=TagRules(episode=1.0, immunity=0.2))
 
 
 def test_its_three_teams_can_change_places():
-    """Whether they do is a part of the contract (`tests/arenas/contract/test_contract.py`)."""
+    """The contract of arenas (`tests/arenas/contract/test_contract.py`) examines that they do."""
     assert exchangeable(SHORT.build(engine="c", worlds=WORLDS)) == [[0, 1, 2]]
 
 

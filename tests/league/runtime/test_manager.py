@@ -14,6 +14,7 @@ from league.runtime.bootstrap import create
 from league.runtime.manager import Manager, _Slot
 from league.state.jobs import RatingMatch
 from storage.errors import Unavailable
+from storage.records import Job
 from storage.store import Store
 from tests.league.leagues import filled, match
 
@@ -100,3 +101,13 @@ def test_the_first_match_of_a_league_is_waited_for_when_the_time_for_rating_is_o
         assert manager.run(lambda state, stage, _: told.append((stage, state.ladder.payoff.home.sum()))) == "done"
         worker.join()
     assert told[-1] == ("done", 256)
+
+
+def test_a_first_match_that_no_process_of_this_run_plays_is_not_waited_for(tmp_path):
+    config = replace(presets.preset("quickstart"), league="cup", budget=Budget(steps=1, rating_time="1s"))
+    config = replace(config, workers=replace(config.workers, match=0))
+    with filled(tmp_path / "store") as store:
+        store.queue([Job("cup", RatingMatch.kind, "left by a run before")])
+        manager = Manager(store, RunSpec.of(str(tmp_path / "store"), config), config)
+        manager._slots.clear()
+        assert manager.run(lambda *_: None) == "done"

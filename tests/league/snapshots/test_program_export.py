@@ -23,6 +23,7 @@ from league.snapshots.exports.onnx_export import onnx_bytes
 from league.snapshots.exports.torchscript_export import torchscript_bytes
 from league.snapshots.programs.stored import host_policies, read
 from tests.arenas.echo import EchoSettings
+from tests.league.snapshots.scrambled import scrambled_arrays
 
 KINDS = {
     "plain": {},
@@ -41,14 +42,7 @@ def scrambled(seed: int, **kind) -> dict[str, np.ndarray]:
     """A policy of which every number counts, those that normalise too."""
     torch.manual_seed(seed)
     sets = [[[0], [1]]] if "recurrent" not in kind else [[[1]]]  # without numbers of its own, or with one
-    actor = Actor(2, 1, Architecture((7, 6), **kind), 0.8, sets)
-    with torch.no_grad():
-        for weights in actor.parameters():
-            weights += 0.4 * torch.randn(weights.shape)
-        actor.trunk.observation_mean.normal_()
-        actor.trunk.observation_var.uniform_(0.0, 2.0)
-        actor.trunk.observation_clip.fill_(1.5)
-    return {name: tensor.numpy() for name, tensor in actor.state_dict().items()}
+    return scrambled_arrays(Actor(2, 1, Architecture((7, 6), **kind), 0.8, sets))
 
 
 def described(own: dict[str, np.ndarray]) -> dict:

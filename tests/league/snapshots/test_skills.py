@@ -28,6 +28,7 @@ from league.snapshots.skills import SkillError, check_skills, team_skills
 from storage.errors import StorageError
 from storage.records import Snapshot
 from tests.arenas.echo import EchoSettings
+from tests.league.snapshots.scrambled import scrambled_arrays
 
 SEES, ACTS = 2, 1  # of the arena `echo`, whose episodes have nine decisions here
 ROSTER = roster_text([AgentSizes("listener", SEES, ACTS)])
@@ -43,14 +44,7 @@ EACH = 8  # worlds of each kind
 
 def network(seed: int, sees: int, acts: int, **kind) -> dict[str, np.ndarray]:
     torch.manual_seed(seed)
-    actor = Actor(sees, acts, Architecture((7, 6), **kind), 0.8)
-    with torch.no_grad():
-        for weights in actor.parameters():
-            weights += 0.4 * torch.randn(weights.shape)
-        actor.trunk.observation_mean.normal_()
-        actor.trunk.observation_var.uniform_(0.0, 2.0)
-        actor.trunk.observation_clip.fill_(1.5)
-    return {name: tensor.numpy() for name, tensor in actor.state_dict().items()}
+    return scrambled_arrays(Actor(sees, acts, Architecture((7, 6), **kind), 0.8))
 
 
 def over_skills(seed: int, skills: int, every: int, blend: bool = False) -> dict[str, np.ndarray]:

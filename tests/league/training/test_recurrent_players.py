@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,9 +28,9 @@ from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.blobs import arrays
 from storage.errors import StorageError
-from storage.records import League, Player, Snapshot
+from storage.records import Snapshot
 from storage.store import Store
-from tests.league.turns import new_trainer
+from tests.league.turns import new_store, new_trainer
 
 LEAGUE, UNITS = "memory", 5
 GAME = configuration.default("rock-paper-scissors")
@@ -54,16 +53,9 @@ def arena() -> Arena:
     return GAME.arena.build()
 
 
-def new_store(place: Path, arena: Arena) -> Store:
-    store = Store.open(place, create=True)
-    store.create_league(League(LEAGUE, configuration.dumps(settings())))
-    store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
-    return store
-
-
 @pytest.fixture
 def store(tmp_path, arena) -> Iterator[Store]:
-    with new_store(tmp_path / "store", arena) as store:
+    with new_store(tmp_path / "store", arena, settings()) as store:
         yield store
 
 
@@ -93,7 +85,7 @@ def ends(store: Store) -> dict[str, tuple[int, str]]:
 def test_killed_after_every_turn_a_league_ends_with_the_same_bytes(schedule, store, arena, tmp_path):
     config = settings(schedule, Opponents("uniform", past=0.5, groups=2))
     turns(store, config, arena, 5)
-    with new_store(tmp_path / "other", arena) as other:
+    with new_store(tmp_path / "other", arena, settings()) as other:
         for _ in range(5):
             turns(other, config, arena, 1)
         assert ends(other) == ends(store)
@@ -213,7 +205,7 @@ def test_a_trained_policy_leaves_as_a_file_and_plays_elsewhere(store, arena, tmp
     policy = policy_file.export(Open(store, LEAGUE), "blue@1")
     assert policy.about["agents"][0]["recurrent"] == UNITS
     (tmp_path / "blue.safetensors").write_bytes(policy.to_bytes())
-    with new_store(tmp_path / "other", arena) as other:
+    with new_store(tmp_path / "other", arena, settings()) as other:
         found = policy_file.bring_in(Open(other, LEAGUE), policy_file.read(tmp_path / "blue.safetensors"), "guest")
         assert other.blobs.get(found.digest) == store.blobs.get(store.snapshots(LEAGUE, "blue")[1].digest)
         add_scripts(other, LEAGUE, arena, ["rock"])

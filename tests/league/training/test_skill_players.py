@@ -30,7 +30,7 @@ from matchmaking.opponents import Opponents
 from storage.blobs import arrays
 from storage.records import League, Match, Player
 from storage.store import Store
-from tests.league.turns import LEAGUE, ends, new_trainer, turns
+from tests.league.turns import LEAGUE, ends, new_store, new_trainer, turns
 
 ROOT = Path(__file__).parents[3]
 GAME = configuration.default("sumo-1v1-leatherback")
@@ -56,23 +56,16 @@ def arena() -> Arena:
     return GAME.arena.build(engine="c", threads=1)
 
 
-def new_store(place: Path, arena: Arena, config: Config | None = None) -> Store:
-    store = Store.open(place, create=True)
-    store.create_league(League(LEAGUE, configuration.dumps(config or settings())))
-    store.add_players([Player(LEAGUE, t.name, i, "main", t.roster) for i, t in enumerate(arena.teams)])
-    return store
-
-
 @pytest.fixture
 def store(tmp_path, arena) -> Iterator[Store]:
-    with new_store(tmp_path / "store", arena) as store:
+    with new_store(tmp_path / "store", arena, settings()) as store:
         yield store
 
 
 def test_a_league_killed_after_every_turn_ends_with_the_same_bytes(store, arena, tmp_path):
     config = settings(Opponents("uniform", past=0.5, groups=2))
     turns(store, config, arena, 4)
-    with new_store(tmp_path / "other", arena) as other:
+    with new_store(tmp_path / "other", arena, settings()) as other:
         for _ in range(4):
             turns(other, config, arena, 1)
         assert ends(other) == ends(store)
@@ -167,7 +160,7 @@ def test_any_learner_commands_skills(store, arena):
 
 
 def test_a_strategy_and_its_skill_become_one_network(store, arena, tmp_path):
-    """By the learner of docs/examples/distil.py, from the TorchScript file of a policy over skills."""
+    """The learner of docs/examples/distil.py imitates the TorchScript file of a policy over skills."""
     frozen = arrays.from_bytes(new_trainer(settings(), arena, store).pool.freeze("blue"))
     (agent,) = agents_of(frozen, arena.teams[0].roster)
     own = {name.removeprefix("0/"): array for name, array in frozen.items()}
