@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import arenas
-from agents.settings import HAPPO, HappoConfig
+from agents.settings import HAPPO, READ_BY_SAC, SAC, HappoConfig
 from arenas.arena_settings import EngineName
 from arenas.contract.error_location import describe_error, source_files
 from arenas.errors import ArenaError
@@ -258,8 +258,9 @@ def _check_learner_flags(config: Config, given: flags.Given) -> None:
     classes = {player.class_ or config.learner.class_ for player in config.players} or {config.learner.class_}
     if HAPPO in classes:
         return
+    read = {"class", "settings", "skill", "critic_input", *(READ_BY_SAC if SAC in classes else ())}
     for key in given:
-        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
+        if key[0] == "learner" and key[1] not in read:
             raise ConfigError(
                 key,
                 f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"
