@@ -19,14 +19,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.batch import Batch, clean
+from agents.batch import Batch
 from agents.devices.cuda_graphs import GraphCache, Runner
 from agents.learner import checkpoint
 from agents.learner.happo import draw_seed
 from agents.learner.metric_means import MetricSums, read_means
 from agents.learner.optimizer import Adam, autocast_networks, matmul_precision, step
 from agents.off_policy.agent import SacAgent, architecture_of
-from agents.off_policy.critics import Bins, InputNorm, RewardScale, TwinCritic, merge_statistics
+from agents.off_policy.critics import Bins, InputNorm, Plain, RewardScale, TwinCritic, merge_statistics
 from agents.off_policy.replay import NOBODY, Decisions, Layout, Replay, more_size, valid_rows
 from agents.settings import HappoConfig
 from arenas.state import AgentSpec
@@ -60,11 +60,11 @@ class SacLearner:
             self.agents = [SacAgent(a, i, firsts[i], settings, device) for i, a in enumerate(agents)]
             inputs = seen + sum(self._action_sizes)
             self.critic, self.target = (
-                TwinCritic(inputs, self.own.critic_hidden, self.own.bins).to(device) for _ in range(2)
+                TwinCritic(inputs, self.own.critic_hidden, self.own.bins or 1).to(device) for _ in range(2)
             )
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
-        self.bins, self.input_norm = Bins(self.own.bins).to(device), InputNorm(seen).to(device)
+        self.bins, self.input_norm = (Bins(self.own.bins) if self.own.bins else Plain()).to(device), InputNorm(seen).to(device)
         self.rewards = RewardScale().to(device)
         self.temperatures = _Temperatures(len(agents), self.own.temperature).to(device)
         lr = torch.tensor(self.own.lr, device=device)
@@ -97,7 +97,7 @@ class SacLearner:
         """
         with matmul_precision(self.config.precision):
             self.device_rng.manual_seed(draw_seed(self.rng))
-            replay = self._remember(clean(batch))
+            replay = self._remember(batch)
             found = {"replay": float(replay.usable)}
             if replay.usable >= self.own.replay.start:
                 self._take_steps(replay, batch.void.numel())
@@ -213,8 +213,8 @@ class SacLearner:
             any_valid, value_loss=loss, value=targets.mean() * self.rewards.unit, critic_grad_norm=norm
         )
         with torch.no_grad():
-            for theirs, mine in zip(self.target.parameters(), self.critic.parameters(), strict=True):
-                theirs.lerp_(mine, self.own.tau)
+            theirs, mine = ([*critic.parameters()] for critic in (self.target, self.critic))
+            torch._foreach_lerp_(theirs, mine, self.own.tau)  # pyright: ignore[reportPrivateImportUsage]
 
     @torch.no_grad()
     def targets(self, batch: Decisions, noise: Tensor) -> Tensor:
