@@ -64,7 +64,10 @@ class SacLearner:
             )
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
-        self.bins, self.input_norm = (Bins(self.own.bins) if self.own.bins else Plain()).to(device), InputNorm(seen).to(device)
+        self.bins, self.input_norm = (
+            (Bins(self.own.bins) if self.own.bins else Plain()).to(device),
+            InputNorm(seen).to(device),
+        )
         self.rewards = RewardScale().to(device)
         self.temperatures = _Temperatures(len(agents), self.own.temperature).to(device)
         lr = torch.tensor(self.own.lr, device=device)

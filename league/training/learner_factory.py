@@ -72,12 +72,10 @@ def new_learner(
     seed = crc32(f"{config.seed}/{player.name}".encode())
     team = learning_team(config, arena, player)
     if settings.class_ != HAPPO:
-        own = (
-            (settings, _critic_size(config, arena, player.team, team))
-            if settings.class_ == SAC
-            else (settings.settings, 0)
-        )
-        source = LearnerSource(settings.class_, own[0], team, seed, config.training.device, own[1])
+        ours = settings.class_ == SAC
+        size = _critic_size(config, arena, player.team, team) if ours else 0
+        own = settings if ours else settings.settings
+        source = LearnerSource(settings.class_, own, team, seed, config.training.device, size)
         return OwnLearner(player.name, source)
     if team is arena.teams[player.team]:
         settings = replace(settings, skill=SkillSettings())  # nobody in it has a skill: it learns each decision
