@@ -46,6 +46,14 @@ def check_name(value: str) -> None:
         raise ValueError("a name is made of letters, digits and . _ + -, and not . or .. alone")
 
 
+def check_forerunner(value: str) -> None:
+    """Raise ValueError unless a text can name a league or a frozen policy, or a snapshot of a league after a slash."""
+    league, slash, snapshot = value.partition("/")
+    check_name(league)
+    if slash and not (league and re.fullmatch(r"[\w.+@:-]+", snapshot)):
+        raise ValueError("a snapshot is named by its league, a slash and its own name: main/blue@49")
+
+
 @dataclass(frozen=True)
 class PlayerSettings:
     """A player: a learning lineage of policies for one team."""
