@@ -4,8 +4,10 @@ The team has a squashed Gaussian actor and a temperature for each agent, and a t
 its agents' actions. After each rollout its decisions join the replay buffer, and `replay_ratio` decisions for each new
 one are learnt from:
 
-    y = r / unit + γ (1 − terminated) (mean of both target critics (s', a') − Σᵢ αᵢ log πᵢ(a'ᵢ | o'ᵢ)),  a' ~ π
+    y = r / unit + γ (1 − terminated) (Q'(s', a') − Σᵢ αᵢ (log πᵢ(a'ᵢ | o'ᵢ) + H̄ᵢ)),  a' ~ π
 
+Q' is the mean of both target critics. Temperatures αᵢ keep each policy's entropy at H̄ᵢ, and the bonus counts from there:
+its mean is then 0, so that values stay in the range of the rewards, and an early end costs nothing more than they say.
 Agents then improve one after the other in a random order, each with the new actions of those before it (HASAC, Liu et
 al., 2024), or all at once. Agents that are out of the game act by zeros and add nothing to the sum.
 """
@@ -32,6 +34,7 @@ from agents.settings import HappoConfig
 from arenas.state import AgentSpec
 
 SAVED = ("rows", "valid", "tags", "state")  # of the replay buffer
+TEMPERATURE_PACE = 10.0  # of its learning rate, since it has to follow the entropy
 MOST_SAVED = 16 * 2**20  # bytes of a buffer in a checkpoint
 
 
@@ -70,8 +73,9 @@ class SacLearner:
         )
         self.rewards = RewardScale().to(device)
         self.temperatures = _Temperatures(len(agents), self.own.temperature).to(device)
-        lr = torch.tensor(self.own.lr, device=device)
-        self.critic_optimizer, self.temperature_optimizer = Adam(self.critic, lr), Adam(self.temperatures, lr)
+        self.critic_optimizer = Adam(self.critic, torch.tensor(self.own.lr, device=device))
+        faster = torch.tensor(min(1.0, TEMPERATURE_PACE * self.own.lr), device=device)
+        self.temperature_optimizer = Adam(self.temperatures, faster)
         self.metric_sums = MetricSums(("value_loss", "value", "critic_grad_norm"), device)
         self.replay: Replay | None = None  # from the first batch on: a league makes more learners than learn
         self.steps = torch.zeros((), dtype=torch.int64)  # of the critic
@@ -228,7 +232,7 @@ class SacLearner:
             own, log_probs = agent.sample(batch.next_observations[i], noise)
             there = batch.next_alive[:, i]
             actions.append(own * there[:, None])
-            bonus -= temperatures[i] * log_probs * there
+            bonus -= temperatures[i] * (log_probs + self._target_entropies[i]) * there
         seen = self.input_norm(_critic_seen(batch, after=True))
         values = self._values(self.target, seen, torch.cat(actions, -1))
         return batch.rewards / self.rewards.unit + self.config.gamma * batch.goes_on * (values + bonus)
