@@ -166,6 +166,8 @@ class SacSettings:
     """Widths of the critics' hidden layers."""
     bins: int = field(default=101, metadata={"low": 0, "high": 10_001})
     """Bins of the critics' output."""
+    least: bool = False
+    """Targets and actors follow the lesser one of the twins' values; false: their mean."""
     tau: float = field(default=0.01, metadata={"above": 0.0, "high": 1.0})
     """Share of the critics' weights that the target networks take over in each step."""
     target_entropy: float = field(default=-0.5, metadata={"low": -100.0, "high": 10.0})

@@ -241,7 +241,8 @@ class SacLearner:
         """Return the mean of both critics' values (B,)."""
         with autocast_networks(self.config.precision, seen.device):
             logits = critic(seen, actions / self._limit)
-        return self.bins.values(logits).mean(0)
+        values = self.bins.values(logits)
+        return values.amin(0) if self.own.least else values.mean(0)
 
     def _improve_actors(self, run: Runner, rows: Tensor, noise: Tensor) -> None:
         """Take one step of each actor, then one of the temperatures."""
