@@ -274,7 +274,6 @@ def test_a_team_learns_actions_that_fit_each_other(sequence):
         scores.append(reward.mean().item())
         mine.learn(batch._replace(rewards=reward))
     assert scores[0] < -1.0
-    print(scores)
     assert np.mean(scores[-3:]) > -0.3
 
 
