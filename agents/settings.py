@@ -160,6 +160,8 @@ class SacSettings:
     """Decisions per gradient step."""
     replay_ratio: float = field(default=4.0, metadata={"above": 0.0, "high": 10_000.0})
     """Update-to-data ratio: decisions in gradient steps of the critic for each new decision."""
+    n_step: int = field(default=3, metadata={"low": 1, "high": 1000})
+    """Decisions whose rewards count before the critic's value, as far as the rollout and the episode go."""
     actor_every: int = field(default=2, metadata={"low": 1, "high": 1000})
     """Steps of the critic for each step of the actors."""
     critic_hidden: tuple[int, ...] = field(default=(256, 256), metadata={"low": 1, "high": 8192, "most": MAX_LAYERS})

@@ -6,8 +6,10 @@ one are learnt from:
 
     y = r / unit + γ (1 − terminated) (Q'(s', a') − Σᵢ αᵢ (log πᵢ(a'ᵢ | o'ᵢ) + H̄ᵢ)),  a' ~ π
 
-Q' is the mean of both target critics. Temperatures αᵢ keep each policy's entropy at H̄ᵢ, and the bonus counts from there:
-its mean is then 0, so that values stay in the range of the rewards, and an early end costs nothing more than they say.
+or the same over `n_step` decisions. Q' is the mean of both target critics. Temperatures αᵢ keep each policy's entropy at
+H̄ᵢ, and the bonus counts from there: its mean is then 0, so that values stay in the range of the rewards, and an early end
+costs nothing more than they say.
+
 Agents then improve one after the other in a random order, each with the new actions of those before it (HASAC, Liu et
 al., 2024), or all at once. Agents that are out of the game act by zeros and add nothing to the sum.
 """
@@ -164,7 +166,8 @@ class SacLearner:
         layout, replay = self._layout, self._buffer()
         if more_size(batch) != self._layout.more:
             raise ValueError(f"the critic observes {more_size(batch)} further numbers, not {self._layout.more}")
-        rows, valid = layout.rows(batch), valid_rows(batch)
+        rows = layout.rows(batch, self.config.gamma, self.own.n_step)
+        valid = valid_rows(batch)
         T, N = batch.void.shape
         tags = torch.tensor(self._tags, device=self.device).repeat_interleave(N // len(self._tags)).repeat(T)
         replay.append(rows, valid, tags)
@@ -235,7 +238,7 @@ class SacLearner:
             bonus -= temperatures[i] * (log_probs + self._target_entropies[i]) * there
         seen = self.input_norm(_critic_seen(batch, after=True))
         values = self._values(self.target, seen, torch.cat(actions, -1))
-        return batch.rewards / self.rewards.unit + self.config.gamma * batch.goes_on * (values + bonus)
+        return batch.rewards / self.rewards.unit + batch.discounts * (values + bonus)
 
     def _values(self, critic: TwinCritic, seen: Tensor, actions: Tensor) -> Tensor:
         """Return the mean of both critics' values (B,)."""

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from agents.batch import CriticView
-from agents.off_policy.replay import Layout, Replay, more_size, valid_rows
+from agents.off_policy.replay import Layout, Replay, more_size, multi_step_returns, valid_rows
 from tests.agents.off_policy.conftest import AGENTS, CPU, experience
 
 SIZES = [a.observation_size for a in AGENTS], [a.action_size for a in AGENTS]
@@ -86,7 +86,7 @@ def test_a_row_holds_all_of_a_decision(sees):
         )
         batch = batch._replace(critic_views=[view])
     layout = Layout(*SIZES, more_size(batch))
-    rows = layout.rows(batch)
+    rows = layout.rows(batch, 0.9)
     assert rows.shape == (48, layout.width)
     found = layout.decisions(rows)
     for i in range(2):
@@ -96,10 +96,39 @@ def test_a_row_holds_all_of_a_decision(sees):
         assert torch.equal(found.next_alive[:, i].bool(), batch.next_alive[i].flatten())
     assert torch.equal(found.actions, torch.cat(list(batch.actions), -1).flatten(0, 1))
     assert torch.equal(found.rewards, batch.rewards.flatten())
-    assert torch.equal(found.goes_on == 0, batch.terminated.flatten())
+    torch.testing.assert_close(found.discounts, 0.9 * (~batch.terminated).flatten().float())
     if sees != "own":
         assert torch.equal(found.more, now.flatten(0, 1))
         assert torch.equal(found.next_more, then.flatten(0, 1))
+
+
+@pytest.mark.parametrize("steps", [1, 3, 20])
+def test_returns_are_those_of_a_walk_through_each_episode(steps):
+    batch, gamma = experience(4, T=9, N=30), 0.9
+    found = multi_step_returns(batch, gamma, steps)
+    ends = set()
+    for n in range(30):
+        for t in range(9):
+            total, k = 0.0, t
+            while True:
+                total += gamma ** (k - t) * batch.rewards[k, n].item()
+                over = bool(batch.terminated[k, n] | batch.truncated[k, n] | batch.void[k, n])
+                if over or k + 1 == min(9, t + steps) or batch.void[k + 1, n]:
+                    break
+                k += 1
+            ends.add(k - t)
+            future = 0.0 if batch.terminated[k, n] else gamma ** (k - t + 1)
+            assert found.rewards[t, n].item() == pytest.approx(total, abs=1e-5)
+            assert found.discounts[t, n].item() == pytest.approx(future, abs=1e-6)
+            assert found.last[t, n] == k
+    assert max(ends) == min(steps, 9) - 1
+    layout = Layout(*SIZES, 0)
+    rows = layout.decisions(layout.rows(batch, gamma, steps))
+    for i in range(2):
+        then = torch.stack([batch.next_observations[i][found.last[t, n], n] for t in range(9) for n in range(30)])
+        assert torch.equal(rows.next_observations[i], then)
+        alive = torch.stack([batch.next_alive[i][found.last[t, n], n] for t in range(9) for n in range(30)])
+        assert torch.equal(rows.next_alive[:, i].bool(), alive)
 
 
 def test_void_decisions_and_those_without_an_agent_do_not_count():

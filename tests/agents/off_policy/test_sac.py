@@ -52,7 +52,7 @@ def test_targets_are_those_of_the_formula():
     for seed in range(3):
         mine.learn(experience(seed))
     batch, noise = experience(9, T=1, N=40, void=0.0, dead=0.4), torch.randn(40, 3)
-    decisions = mine._layout.decisions(mine._layout.rows(batch))
+    decisions = mine._layout.decisions(mine._layout.rows(batch, 0.9))
     found = mine.targets(decisions, noise)
     temperatures, unit = mine.temperatures().detach(), mine.rewards.unit.item()
     assert unit != 1
@@ -84,7 +84,7 @@ def test_each_agent_sees_the_new_actions_of_those_before_it(sequence, monkeypatc
     seen, first = [], set()
     for agent in mine.agents:
         monkeypatch.setattr(agent, "improve", _watched(agent, seen))
-    rows, noise = mine._layout.rows(experience(7, T=1, N=40, void=0.0)), torch.randn(40, 3)
+    rows, noise = mine._layout.rows(experience(7, T=1, N=40, void=0.0), 0.9), torch.randn(40, 3)
     for _ in range(12):
         seen.clear()
         before = mine._draw_joint(rows, noise)
@@ -117,7 +117,7 @@ def test_an_actor_climbs_the_critic_and_nothing_else():
     mine = learner()
     for seed in range(2):
         mine.learn(experience(seed))
-    rows, noise = mine._layout.rows(experience(7, T=1, N=40, void=0.0)), torch.randn(40, 3)
+    rows, noise = mine._layout.rows(experience(7, T=1, N=40, void=0.0), 0.9), torch.randn(40, 3)
     batch, agent = mine._layout.decisions(rows), mine.agents[0]
     joint, seen = mine._draw_joint(rows, noise), mine.input_norm(torch.cat([*batch.observations], -1))
     bias, alive = agent.network.mean.bias, batch.alive[:, 0]
