@@ -4,14 +4,15 @@
     python -m experiments.mamujoco HalfCheetah 2x3 --learner sac --steps 1000000 --processes 16 --out halfcheetah.json
 
 The robot's joints are divided among agents, each of which observes its own and its neighbours' parts; the critic also
-observes the whole state. The learners are those of a league, given batches of these worlds instead of an arena's. A line
-is printed, and a point written, after every `--every` steps: the mean return of the episodes that ended since, played
-with exploration as they were for learning.
+observes the whole state. The learners are those of a league, given batches of these worlds instead of an arena's. After
+every `--every` steps a line is printed and a point written: the mean return of the episodes that ended since, with
+exploration.
 """
 
 import json
 import multiprocessing
 import time
+import tomllib
 from dataclasses import replace
 from multiprocessing.connection import Connection
 
@@ -24,6 +25,7 @@ from agents.off_policy.sac import SacLearner
 from agents.policy.networks import Actor
 from agents.settings import Architecture, HappoConfig, ReplaySettings, SacSettings
 from arenas.state import AgentSpec
+from league.config.build import build
 from scripts.record import make_parser, run_info, write
 
 Learner = SacLearner | HappoLearner
@@ -43,13 +45,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1, help="of torch")
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=NUMBER", help="settings of learner.sac")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings of learner.sac, as in TOML"
+    )
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     worlds = Worlds(args.robot, args.division, args.worlds, args.processes, args.seed)
-    learner = make_learner(
-        args.learner, worlds, args.seed, torch.device(args.device), dict(s.split("=") for s in args.set)
-    )
+    learner = make_learner(args.learner, worlds, args.seed, torch.device(args.device), args.set)
     length = args.rollout or {"sac": 8, "happo": 200}[args.learner]
     result, began = {**run_info(args.commit), "learner": repr(learner.config), "points": []}, time.monotonic()
     steps, due, returns, told = 0, args.every, [], {}
@@ -67,7 +69,7 @@ def main() -> None:
             returns = []
 
 
-def make_learner(name: str, worlds: "Worlds", seed: int, device: torch.device, own: dict[str, str]) -> Learner:
+def make_learner(name: str, worlds: "Worlds", seed: int, device: torch.device, own: list[str]) -> Learner:
     """Return a learner with settings for few worlds; those of HAPPO are MAMuJoCo's of HARL, but for shorter batches."""
     agents, size = worlds.agents, sum(a.observation_size for a in worlds.agents) + worlds.state_size
     base = HappoConfig(gamma=0.99, critic_input="privileged", normalise_observations=True)
@@ -78,12 +80,8 @@ def make_learner(name: str, worlds: "Worlds", seed: int, device: torch.device, o
         )  # fmt: skip
         sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
         return HappoLearner(*sizes, config, seed, str(device), critic_size=size)
-    numbers = {"batch": 256.0, "replay_ratio": 64.0, **{k: float(v) for k, v in own.items()}}
-    kinds = {k: type(getattr(SacSettings(), k)) for k in numbers}
-    sac = SacSettings(
-        replay=ReplaySettings(1_000_000, 10_000),
-        **{k: bool(float(v)) if kinds[k] is bool else int(v) if kinds[k] is int else v for k, v in numbers.items()},
-    )
+    first = SacSettings(ReplaySettings(1_000_000, 10_000), batch=256, replay_ratio=64.0)
+    sac = build(SacSettings, tomllib.loads("\n".join(own)), first)
     config = replace(base, class_="sac", sac=sac, architecture=Architecture((128, 128), "relu", squash=1.0))
     return SacLearner(agents, config, seed, device, size)
 

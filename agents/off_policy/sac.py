@@ -6,8 +6,8 @@ one are learnt from:
 
     y = r / unit + γ (1 − terminated) (Q'(s', a') − Σᵢ αᵢ (log πᵢ(a'ᵢ | o'ᵢ) + H̄ᵢ)),  a' ~ π
 
-or the same over `n_step` decisions. Q' is the mean of both target critics. Temperatures αᵢ keep each policy's entropy at
-H̄ᵢ, and the bonus counts from there: its mean is then 0, so that values stay in the range of the rewards, and an early end
+or the same over `n_step` decisions. Q' is the mean of both target critics. Temperatures αᵢ keep each entropy at
+H̄ᵢ, and the bonus counts from there: its mean is then 0. Thus values stay in the range of the rewards, and an early end
 costs nothing more than they say.
 
 Agents then improve one after the other in a random order, each with the new actions of those before it (HASAC, Liu et
