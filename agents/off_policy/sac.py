@@ -223,7 +223,8 @@ class SacLearner:
             any_valid, value_loss=loss, value=targets.mean() * self.rewards.unit, critic_grad_norm=norm
         )
         with torch.no_grad():
-            theirs, mine = ([*critic.parameters()] for critic in (self.target, self.critic))
+            theirs: list[Tensor] = [*self.target.parameters()]
+            mine: list[Tensor] = [*self.critic.parameters()]
             torch._foreach_lerp_(theirs, mine, self.own.tau)  # pyright: ignore[reportPrivateImportUsage]
 
     @torch.no_grad()
