@@ -29,6 +29,7 @@ from league.config.sections import (
     Storage,
     Training,
     Workers,
+    check_forerunner,
     check_name,
     named_players,
 )
@@ -77,9 +78,9 @@ class Config:
     """Processes on this machine."""
     storage: Storage = field(default_factory=Storage)
     """Limits and places of what the store keeps."""
-    after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_name, names)]})
-    """Leagues of this store, or policies that come with the league, from which the players here start; the nearest
-    first."""
+    after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_forerunner, names)]})
+    """Leagues of this store, snapshots of them (main/blue@49), or policies that come with the league, from which the
+    players here start; the nearest first."""
     stages: tuple[parts.Stage, ...] = field(default=(), metadata={"apart": True})
     """A curriculum: tables [[stages]] with what differs from the settings above, walked in their order."""
 

@@ -47,7 +47,7 @@ class RatingMatch:
     seed: int
     purpose: str = "rating"
     record: bool = True
-    due: float | None = None  # while players learn, the second of their training to which it is booked: see share.py
+    due: float | None = None  # while players learn, the second of their training to which it is booked
 
 
 Task = TrainingTurn | RatingMatch
