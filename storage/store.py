@@ -20,7 +20,7 @@ import sqlalchemy as sa
 
 from storage.blobs.blobs import open_blobs
 from storage.blobs.identity import IdentifiedBlobs
-from storage.database import engines
+from storage.database import engines, health
 from storage.database import schema as t
 from storage.database.connection import Database
 from storage.database.opening import open_database
@@ -80,6 +80,10 @@ class Store(Leadership, Players, Results, JobQueue):
         """Return whether a process blocks all writers for at least `seconds`; always False for a server."""
         engine = self._db.engine
         return engine.dialect.name == "sqlite" and engines.is_locked(Path(self.where), seconds)
+
+    def troubles(self) -> list[str]:
+        """Return lines about transactions held open on a server and about its clock; none for SQLite."""
+        return health.server_troubles(self._db)
 
     # Transfer between stores
 

@@ -93,7 +93,8 @@ class LeagueState:
         revision = store.revision(league)
         if before is not None and before.revision == revision and arena in (None, before.arena):
             return before
-        before = before or cls()
+        if before is None or revision < before.revision:  # less than before: a failover has lost the newest commits
+            before = cls()
         jobs, players = store.jobs(league, ("queued", "leased", "failed")), store.players(league)
         known = store.snapshot_count(league) == (
             len(before.snapshots),

@@ -155,6 +155,8 @@ def _translated(where: str, error: DBAPIError) -> StorageError:
         text = f"another process kept it locked for {BUSY_SECONDS} s" if re.search(locked, cause) else cause
         if "unable to open" in cause:
             text = "it is not there any more (a disk not mounted, a file moved away?)"
+        if getattr(error.orig, "sqlstate", None) == _READ_ONLY:
+            text = "it takes no writes now: is it a standby, which nobody has promoted yet?"
         if re.search(r"database or disk is full|No space left", cause):
             text = "the disk is full; nothing was half written. Free some space"
         return Unavailable(f"{where}: {text}")
@@ -187,13 +189,14 @@ _SQLITE_TRANSIENT = (
     *(sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PROTOCOL),  # another process holds the lock
     *(sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL),
 )
+_READ_ONLY = "25006"  # from a standby, as during a failover
 # Connection lost; out of disk, memory or connections; shut down or starting; lock timeout, deadlock, serialisation
 # failure, cancelled; idle too long; the server's own disk.
-_POSTGRES_TRANSIENT = ("08", "53", "57P01", "57P02", "57P03", "55P03", "40", "57014", "25P03", "58")
+_POSTGRES_TRANSIENT = ("08", "53", "57P01", "57P02", "57P03", "55P03", "40", "57014", "25P03", "58", _READ_ONLY)
 # A refused connection has no code; these texts mean that the refusal is permanent.
 _POSTGRES_REFUSED = (
     "authentication failed|no password supplied|does not exist|pg_hba.conf|permission denied|invalid .*option"
-    "|invalid (integer|sslmode|port|.*dsn)"
+    "|invalid (integer|sslmode|port|target_session_attrs|.*dsn)|no such (user|database)"
 )
 
 

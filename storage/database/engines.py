@@ -13,8 +13,9 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import DisconnectionError, NoSuchModuleError
 
-from storage.database import lock_wait
+from storage.database import lock_wait, sessions
 from storage.database.connection import BUSY_SECONDS
+from storage.database.urls import several_hosts
 from storage.errors import StorageError
 
 # A server that vanishes silently (a pulled cable, a stopped machine) is noticed within about a minute, and releases
@@ -25,8 +26,8 @@ _SERVER: dict[str, str] = {
     "keepalives_interval": "10",
     "keepalives_count": "3",
     "tcp_user_timeout": "60000",  # ms
+    "fallback_application_name": "league",  # in pg_stat_activity
 }
-_SESSION = f"-c lock_timeout={BUSY_SECONDS}s -c idle_in_transaction_session_timeout={BUSY_SECONDS}s"
 
 
 def _to_json(value: object) -> str:
@@ -36,17 +37,18 @@ def _to_json(value: object) -> str:
         raise StorageError(f"A value of a row is no JSON: {error}.") from error
 
 
-def server_engine(url: sa.URL, where: str) -> sa.Engine:
-    """Return an engine of PostgreSQL. Raises StorageError without a driver."""
-    given = url.query.get("options", "")
-    options = given if isinstance(given, str) else " ".join(given)
-    session = {"options": f"{_SESSION} {options}".strip(), "client_encoding": "UTF8"}  # overrides PGCLIENTENCODING
-    url = url.set(query={**_SERVER, **url.query, **session})
+def server_engine(url: sa.URL, where: str, read_only: bool = False) -> sa.Engine:
+    """Return an engine of PostgreSQL, directly or through a pooler. Raises StorageError without a driver."""
+    options = url.query.get("options", "")
+    given = options if isinstance(options, str) else " ".join(options)
+    roles = {"target_session_attrs": "primary"} if several_hosts(url) else {}  # the others are standbys
+    url = url.set(query={**_SERVER, **roles, **url.query, "client_encoding": "UTF8"})  # overrides PGCLIENTENCODING
     try:
         # Pre-ping: a connection that was cut by a restart of the server is replaced before use.
         engine = sa.create_engine(url, pool_pre_ping=True, json_serializer=_to_json)
     except (ModuleNotFoundError, NoSuchModuleError) as error:
         raise StorageError(f"{where} needs a driver: pip install 'robot-league[postgres]' ({error}).") from error
+    sessions.serve_clients(engine, where, f"{BUSY_SECONDS}s", given, read_only)
     lock_wait.SERVER_WATCH.attach(engine)
     return engine
 

@@ -69,10 +69,7 @@ def open_unchanged(url: sa.URL) -> sa.Engine:
     """
     where = display_url(url)
     if url.get_backend_name() != "sqlite":
-        options = url.query.get("options", "")
-        given = options if isinstance(options, str) else " ".join(options)
-        only = f"{given} -c default_transaction_read_only=on".strip()
-        return server_engine(url.update_query_dict({"options": only}), where)
+        return server_engine(url, where, read_only=True)
     path = Path(where)
     try:
         _require_file(path, where)

@@ -3,6 +3,7 @@
 import os
 import re
 from pathlib import Path
+from urllib.parse import quote
 
 import sqlalchemy as sa
 from sqlalchemy.engine import make_url
@@ -21,6 +22,8 @@ _PLACE = re.compile(
     r"(?i)(?:\b(?:[a-z][a-z0-9+.-]*://|(?:sqlite|postgres\w*|mysql|s3|file)(?:\+\w+)?[:/]/*)|://)[^\s'\"`]*"
     r"(?:@|(?:pass|secret|token)\w*=)[^\s'\"`]*"
 )
+# postgresql://name:password@host:port,host:port/database?settings
+_HOSTS = re.compile(r"(postgresql(?:\+\w+)?://(?:[^@/?#]*@)?)([^@/?#,]*(?:,[^@/?#,]*)+)(/[^?]*)?(?:\?(.*))?$")
 _SECRET = re.compile(r"(?i)pass|secret|token")
 
 
@@ -53,7 +56,15 @@ def display_url(url: sa.URL) -> str:
         return str(Path(url.database or "").absolute())
     query = {name: "***" if _SECRET.search(name) else value for name, value in url.query.items()}
     plain = url.set(drivername=url.get_backend_name(), query=query)
-    return plain.render_as_string(hide_password=True).replace("%2A%2A%2A", "***")
+    if hosts := several_hosts(url):  # as PostgreSQL writes them
+        plain = plain.difference_update_query(["host"]).set(host="\0")
+    return plain.render_as_string(hide_password=True).replace("%2A%2A%2A", "***").replace("\0", ",".join(hosts))
+
+
+def several_hosts(url: sa.URL) -> tuple[str, ...]:
+    """Return the hosts (`host` or `host:port`) of a URL that names several servers, of which one takes writes."""
+    hosts = url.query.get("host", ())
+    return () if isinstance(hosts, str) else tuple(hosts)
 
 
 def display_location(where: str) -> str:
@@ -131,9 +142,18 @@ def _may_be_database(path: Path) -> bool:
         return True
 
 
+def _hosts_as_query(found: re.Match[str]) -> str:
+    """Return a URL of several hosts in the form that SQLAlchemy reads. Raises ValueError for an invalid port."""
+    start, hosts, path, query = found.groups(default="")
+    for host in (listed := hosts.split(",")):
+        if not re.fullmatch(r"[^:]+(:\d{1,5})?", host):
+            raise ValueError(host)
+    return f"{start}{path or '/'}?{'&'.join([f'host={quote(host)}' for host in listed] + ([query] if query else []))}"
+
+
 def _parse_url(text: str) -> sa.URL:
     try:
-        url = make_url(text)
+        url = make_url(_HOSTS.sub(_hosts_as_query, text))
         backend = url.get_backend_name()
     except (ArgumentError, ValueError):  # its message may contain the password
         raise StorageError(

@@ -2,6 +2,7 @@
 
     python -m tests.faults.faults --minutes 60 --at-once 3 --out tests/faults/results/faults-cpu.json
     python -m tests.faults.faults --rounds 1 --strikes 6 --databases sqlite --harm kill_one kill_all
+    python -m tests.faults.faults --rounds 1 --databases pgbouncer asynchronous synchronous --out postgresql.json
 
 In a round, the real command runs a new league on SQLite or on a PostgreSQL server of its own; faults are injected
 repeatedly, and the league is run to its end. Then every scheduled match must be in the log exactly once and nothing
@@ -29,16 +30,19 @@ from typing import Any
 from scripts.record import commit, machine, make_parser
 from tests.faults import harm
 from tests.faults.harm import Scene
-from tests.faults.hunted import Hunted, Lost, examine
-from tests.faults.servers import Line, Server, programs, small_disk
+from tests.faults.hunted import LEAGUE, Hunted, Lost, examine
+from tests.faults.servers import Bouncer, Line, Pair, Server, programs, small_disk
 
 # Faults and their relative frequencies. Some need a certain database or disk.
 OFTEN = {
     harm.kill_one: 10, harm.kill_all: 10, harm.kill_starting: 10, harm.freeze: 1, harm.second_manager: 1,
-    harm.fill_disk: 3, harm.restart_server: 2, harm.cut_line: 2,
+    harm.fill_disk: 3, harm.restart_server: 2, harm.cut_line: 2, harm.fail_over: 10,
     harm.skewed_worker: 2, harm.unmount: 2, harm.broken_worker: 1,
 }  # fmt: skip
 DISK = 8  # MB; a league needs about 2
+# PostgreSQL alone, behind PgBouncer, or with a standby: an asynchronous one by a URL of both hosts, a synchronous one
+# behind PgBouncer. A campaign chooses the first two unless it is told.
+DATABASES = ("sqlite", "postgresql", "pgbouncer", "asynchronous", "synchronous")
 Harm = Callable[[Scene], Counter[str]]
 
 
@@ -47,24 +51,39 @@ def scene(folder: Path, database: str, steps: int, rng: random.Random, disk: boo
     """Yield a league that has not begun, on its database and perhaps on a small disk; delete everything afterwards."""
     with ExitStack() as stack:
         place = stack.enter_context(small_disk(folder / "disk", DISK)) if disk else folder / "store"
-        server = line = None
-        where = direct = str(place)
-        if database == "postgresql":
-            server = Server(folder / "server")
-            stack.callback(server.stop)
-            line = Line(server.port)
-            stack.callback(line.cut)
-            where, direct = server.url("league", line.port), server.url("league")
-        hunted = Hunted(place, where, steps, direct)
-        stack.callback(hunted.end)
-        yield Scene(hunted, rng, server, line, place if disk else None)
+        on = Scene(Hunted(place, str(place), steps), rng, disk=place if disk else None)
+        if database != "sqlite":
+            _serve(on, folder, database, stack)
+        stack.callback(on.hunted.end)
+        yield on
+
+
+def _serve(on: Scene, folder: Path, database: str, stack: ExitStack) -> None:
+    """Give a league that has not begun its servers, which stop with the stack."""
+    hunted = on.hunted
+    if database in ("asynchronous", "synchronous"):
+        on.pair = Pair(folder / "servers", database == "synchronous")
+        stack.callback(on.pair.stop)
+        server, ports = on.pair.primary, (on.pair.primary.port, on.pair.standby.port)
+        hunted.where = f"postgresql://league@{','.join(f'127.0.0.1:{port}' for port in ports)}/{LEAGUE}"
+    else:
+        server = on.server = Server(folder / "server")
+        stack.callback(server.stop)
+    hunted.direct = server.url(LEAGUE)
+    if database in ("pgbouncer", "synchronous"):
+        on.pool = Bouncer(folder / "pool", server.port)
+        stack.callback(on.pool.stop)
+    if database != "asynchronous":
+        on.line = Line(on.pool.port if on.pool else server.port)
+        stack.callback(on.line.cut)
+        hunted.where = server.url(LEAGUE, on.line.port)
 
 
 def possible(scene: Scene, chosen: list[str]) -> dict[Harm, int]:
     """Return the faults among the chosen ones that this league allows, with their frequencies."""
     clock = scene.server and harm.faketime()  # SQLite uses the clock of the asking process
     needs = {harm.fill_disk: scene.disk, harm.restart_server: scene.server, harm.cut_line: scene.line}
-    needs[harm.skewed_worker] = clock
+    needs[harm.skewed_worker], needs[harm.fail_over] = clock, scene.pair
     needs[harm.unmount] = scene.disk is None  # a small disk is a mount point already
     return {do: n for do, n in OFTEN.items() if needs.get(do, True) and (not chosen or do.__name__ in chosen)}
 
@@ -191,7 +210,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--at-once", type=int, default=1, help="rounds at the same time")
     parser.add_argument("--strikes", type=int, default=24, help="faults in a round")
     parser.add_argument("--steps", type=int, default=20_480, help="of training in a round")
-    parser.add_argument("--databases", nargs="+", choices=["sqlite", "postgresql"])
+    parser.add_argument("--databases", nargs="+", choices=DATABASES)
     parser.add_argument("--harm", nargs="+", default=[], choices=[do.__name__ for do in OFTEN], help="none: all")
     parser.add_argument("--no-disk", dest="disk", action="store_false", help="no small disks, which need root")
     parser.add_argument("--seed", type=int, default=0)

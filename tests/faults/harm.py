@@ -14,7 +14,7 @@ from league.runtime.manager import LEASE as LEADS
 from league.system import exit_codes
 from storage.store import Store
 from tests.faults.hunted import LEAGUE, LEASE, ROOT, Hunted, Lost, findings, is_alive
-from tests.faults.servers import Line, Server
+from tests.faults.servers import Bouncer, Line, Pair, Server
 
 
 @dataclass
@@ -26,6 +26,8 @@ class Scene:
     server: Server | None = None
     line: Line | None = None
     disk: Path | None = None  # the small disk with its blobs, and on SQLite its rows
+    pair: Pair | None = None  # its server and a standby
+    pool: Bouncer | None = None  # before its server
 
 
 def kill_one(scene: Scene) -> Counter[str]:
@@ -112,6 +114,17 @@ def cut_line(scene: Scene) -> Counter[str]:
     scene.line.cut()
     scene.line.mend()
     return Counter({f"network {'silent' if silent else 'cut'}": 1})
+
+
+def fail_over(scene: Scene) -> Counter[str]:
+    """Crash the primary and promote its standby, which has heard nothing for some seconds."""
+    assert scene.pair is not None
+    before = scene.hunted.revision()
+    scene.pair.fail_over(scene.rng.uniform(0, 4))
+    if scene.pool is not None:
+        scene.pool.reload(scene.pair.primary.port)
+    scene.hunted.direct = scene.pair.primary.url(LEAGUE)
+    return Counter({"failover": 1, "changes lost by the standby": max(0, before - scene.hunted.revision())})
 
 
 def skewed_worker(scene: Scene) -> Counter[str]:

@@ -44,7 +44,7 @@ def report(opened: Open, whole_errors: bool = False, lit: bool = False) -> str:
         *_listed("Paused", found.paused),
         *_listed("Tried again", found.again),
         *_listed("Set aside", found.failed),
-        *_listed("Warning", found.voids),
+        *_listed("Warning", [*found.voids, *opened.store.troubles()]),
         *([render(found.workers, WORKERS, colour=lit)] if found.workers else []),
         found.machine,
     ]
