@@ -61,6 +61,8 @@ def owned(folder: Path) -> Path:
 class Server:
     """A private PostgreSQL server, which can be restarted without affecting others; a standby of another one."""
 
+    connections = 200  # from its next start
+
     def __init__(self, folder: Path, port: int | None = None, of: int | None = None):
         """Make it and start it; with `of`, as a standby of the server at that port."""
         bin = programs()
@@ -86,7 +88,7 @@ class Server:
 
     def start(self) -> None:
         """Start it, and wait until it answers."""
-        options = f"-p {self.port} -c listen_addresses=127.0.0.1 -k {self.folder} -c max_connections=200"
+        options = f"-p {self.port} -c listen_addresses=127.0.0.1 -k {self.folder} -c max_connections={self.connections}"
         self._run(self._ctl, "-D", self.folder / "data", "-w", "-l", self.folder / "log", "-o", options, "start")
 
     def stop(self, how: str = "immediate") -> None:

@@ -1,0 +1,153 @@
+"""PostgreSQL under a foreign transaction that stays open, and under many workers. Prints JSON.
+
+    python -m benchmarks.server_load --out benchmarks/results/server-load-cpu.json
+
+`held`: four processes claim and finish jobs without a pause, in windows; before the second phase another client opens a
+transaction, reads the jobs in it and stays idle, as a dump or a forgotten session does; in the third it has ended.
+`crowd`: 200 processes, each with a job of one second at a time, which all start at the same moment; directly and
+through PgBouncer with 20 sessions of the server. Each uses a private server, whose disk is not waited for.
+"""
+
+import argparse
+import multiprocessing
+import secrets
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from league.system import environment
+
+environment.prepare()
+
+import numpy as np
+import psycopg
+
+from benchmarks.store import LEAGUE, load
+from scripts.record import make_parser, report, run_info
+from storage.records import Job, League
+from storage.store import Store
+from tests.faults.servers import Bouncer, Server
+
+FORK = multiprocessing.get_context("fork")
+
+
+def work(place: tuple[str, str], number: int, start: Any, seconds: float, pause: float, done: Any) -> None:
+    """Claim jobs and finish each after `pause` seconds, for `seconds`; put the ms of every claim and finish."""
+    with Store.open(place[0], blobs=place[1]) as store:
+        store.now()  # connects
+        start.wait()
+        until, took = time.monotonic() + seconds, ([], [])
+        while time.monotonic() < until:
+            begun = time.perf_counter()
+            claimed = store.claim(LEAGUE, ["any"], f"here:{number}:any", 60)
+            took[0].append(1000 * (time.perf_counter() - begun))
+            assert claimed is not None, "the queue is too short"
+            time.sleep(pause)
+            begun = time.perf_counter()
+            store.finish(claimed[0])
+            took[1].append(1000 * (time.perf_counter() - begun))
+    done.put(took)
+
+
+def window(place: tuple[str, str], workers: int, seconds: float, pause: float, jobs: int) -> dict:
+    """Return jobs per second and latencies of so many processes on a full queue."""
+    run = secrets.token_hex(4)
+    with Store.open(place[0], create=True, blobs=place[1]) as store:
+        store.create_league(League(LEAGUE, ""))
+        store.queue([Job(LEAGUE, "any", f"{run}:{i}") for i in range(jobs)])
+    start, done = FORK.Barrier(workers), FORK.Queue()
+    processes = [FORK.Process(target=work, args=(place, i, start, seconds, pause, done)) for i in range(workers)]
+    for process in processes:
+        process.start()
+    took = [done.get(timeout=seconds + 240) for _ in processes]
+    for process in processes:
+        process.join()
+    claims, finishes = ([ms for each in took for ms in each[i]] for i in (0, 1))
+    return {
+        "jobs_per_second": round(len(finishes) / seconds, 1), "claim_ms": quantiles(claims),
+        "finish_ms": quantiles(finishes), "load_average": load(),
+    }  # fmt: skip
+
+
+def quantiles(values: list[float]) -> dict[str, float]:
+    """Return the median, the 99 % quantile and the maximum."""
+    return {name: round(float(np.quantile(values, q)), 1) for name, q in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
+
+
+def dead(url: str) -> dict[str, int]:
+    """Return the dead rows of the tables with many updates, as the server counts them."""
+    with psycopg.connect(url, autocommit=True) as db:
+        time.sleep(1.5)  # statistics are reported with a delay
+        names = "SELECT relname, n_dead_tup FROM pg_stat_user_tables WHERE relname IN ('jobs', 'leagues')"
+        return dict(db.execute(names).fetchall())
+
+
+def held(server: Server, args: argparse.Namespace, folder: Path) -> dict:
+    """Measure claims before, while and after another client's transaction is open."""
+    url = server.url("held")
+    place = (url, str(folder))
+    phases: dict[str, Any] = {}
+
+    def phase(name: str, windows: int) -> None:
+        phases[name] = []
+        for _ in range(windows):
+            found = window(place, 4, args.seconds, 0.0, int(400 * args.seconds))
+            phases[name].append({**found, "dead_rows": dead(url)})
+
+    phase("before", 2)
+    with psycopg.connect(url, application_name="pg_dump") as other:
+        other.isolation_level = psycopg.IsolationLevel.REPEATABLE_READ
+        other.execute("SELECT count(*) FROM jobs")
+        phase("open", args.windows)
+    with psycopg.connect(url, autocommit=True) as db:
+        db.execute("VACUUM jobs, leagues")
+    phase("ended", 2)
+    return {"workers": 4, "seconds_of_a_window": args.seconds, "phases": phases}
+
+
+def crowd(server: Server, args: argparse.Namespace, folder: Path) -> dict:
+    """Measure workers that start at once, directly and through PgBouncer."""
+    found: dict[str, Any] = {"workers": args.workers, "job_seconds": 1.0, "seconds": args.crowd_seconds}
+    server.connections = args.workers + 50
+    server.stop("fast")
+    server.start()
+    pool = Bouncer(folder / "pool", server.port, default_pool_size="20")
+    try:
+        for name, port in (("direct", server.port), ("pgbouncer", pool.port)):
+            place = (server.url(f"crowd_{name}", port), str(folder))
+            jobs = int(args.workers * (args.crowd_seconds + 2))
+            found[name] = window(place, args.workers, args.crowd_seconds, 1.0, jobs)
+            found[name]["dead_rows"] = dead(server.url(f"crowd_{name}"))
+    finally:
+        pool.stop()
+    return found
+
+
+def main() -> None:
+    """Measure and print the JSON."""
+    parts: dict[str, Callable[..., dict]] = {"held": held, "crowd": crowd}
+    parser = make_parser(__doc__)
+    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
+    parser.add_argument("--seconds", type=float, default=10.0, help="of a window with or without the transaction")
+    parser.add_argument("--windows", type=int, default=12, help="while the transaction is open")
+    parser.add_argument("--workers", type=int, default=200)
+    parser.add_argument("--crowd-seconds", type=float, default=30.0)
+    args = parser.parse_args()
+    result: dict[str, Any] = {}
+    for name in args.parts:
+        with tempfile.TemporaryDirectory() as made:
+            folder = Path(made)
+            folder.chmod(0o755)  # PostgreSQL's user needs access
+            server = Server(folder / "server")
+            server.settle(fsync="off")
+            try:
+                result[name] = parts[name](server, args, folder)
+            finally:
+                server.stop()
+    report({**run_info(args.commit), **result}, args.out)
+
+
+if __name__ == "__main__":
+    main()
