@@ -36,7 +36,7 @@ def await_port(port: int) -> None:
 def programs() -> Path | None:
     """Return the folder of PostgreSQL's programs; None if it is not installed."""
     on_path = shutil.which("initdb")
-    found = [Path(on_path)] if on_path else sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+    found = [Path(on_path).resolve()] if on_path else sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
     return found[-1].parent if found else None
 
 
@@ -124,7 +124,11 @@ class Pair:
         """Make a standby of the primary, connected by a line."""
         self._made += 1
         self._line = Line(self.primary.port)
-        self.standby = Server(self._folder / str(self._made), port, self._line.port)
+        try:
+            self.standby = Server(self._folder / str(self._made), port, self._line.port)
+        except BaseException:
+            self._line.cut()
+            raise
         if self._synchronous:
             self.primary.settle(synchronous_standby_names="standby")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from storage.database.urls import BLOBS_VARIABLE, database_url, display_url
+from storage.database.urls import BLOBS_VARIABLE, database_url, display_url, several_hosts
 from storage.errors import StorageError
 from storage.store import Store
 
@@ -56,6 +56,8 @@ def test_other_names_are_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         "postgresql://127.0.0.1:1/db?pass%77ord=hush&sslpassword=hush",
         "postgresql://me:a@127.0.0.1:1/db?password=hush&password=hush",
         "postgresql://me:hush@127.0.0.1:port/db",
+        "postgresql://me:hush@127.0.0.1:1,127.0.0.1:2/db",
+        "postgresql://me:hush@127.0.0.1:1,127.0.0.1:port/db",
         "postgresql://me:hush@hush@127.0.0.1:1/db",
         "postgresql://me:hush/hush@127.0.0.1:1/db",
         "postgresql://127.0.0.1:port/db?password=hush",
@@ -93,6 +95,23 @@ def test_a_password_reaches_the_server_and_nothing_else(server_url: str, tmp_pat
         assert store.leagues() == []
     assert database_url("postgresql://me@host/db?password=hush").password == "hush"
     assert display_url(database_url("postgresql://me@host/db?password=hush")) == "postgresql://me:***@host/db"
+
+
+@pytest.mark.parametrize(
+    ("where", "hosts"),
+    [
+        ("postgresql://me:hush@a:1,b:2/db?target_session_attrs=read-write", ("a:1", "b:2")),
+        ("postgresql://a,b.example/db", ("a", "b.example")),
+        ("postgresql+psycopg://me@a:5432,b,c", ("a:5432", "b", "c")),
+        ("postgresql://me:p%2Cw@a/db", ()),
+    ],
+)
+def test_a_url_of_several_hosts_is_shown_as_it_was_written(where: str, hosts: tuple[str, ...]):
+    url = database_url(where)
+    assert several_hosts(url) == hosts
+    shown = where.replace("+psycopg", "").replace("hush", "***").replace("p%2Cw", "***").replace(",c", ",c/")
+    assert display_url(url) == shown
+    assert display_url(database_url(shown)) == shown
 
 
 def test_blobs_are_where_was_said_else_where_the_environment_says_else_beside_the_file(
