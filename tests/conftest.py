@@ -25,6 +25,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 from dashboards.errors import ViewerError
 from dashboards.viewer.headless import NO_DRIVER, headless_viewer
+from tests.faults import servers
 
 SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
 
@@ -140,6 +141,13 @@ def server_place() -> Iterator[str]:
 def server_url() -> Iterator[str]:
     """A place for a store on PostgreSQL; the test is skipped where there is none."""
     yield from server_place()
+
+
+@pytest.fixture(scope="session")
+def pgbouncer() -> None:
+    """PgBouncer and PostgreSQL: without them its tests are skipped, or fail under REQUIRE_POOLER=1."""
+    if servers.programs() is None or servers.pooler() is None:
+        _without("REQUIRE_POOLER", "there is no PgBouncer: apt-get install pgbouncer")
 
 
 def _without(switch: str, why: str) -> NoReturn:

@@ -14,11 +14,10 @@ from storage.errors import StorageError, Unavailable
 from storage.maintenance.verify import verify
 from storage.records import Job
 from storage.store import Store
-from tests.faults.servers import Bouncer, Pair, Server, pooler, programs
+from tests.faults.servers import Bouncer, Pair, Server, programs
 from tests.storage.conftest import fill, match
 
 needs_server = pytest.mark.skipif(programs() is None, reason="no PostgreSQL is installed here")
-needs_pooler = pytest.mark.skipif(programs() is None or pooler() is None, reason="no PgBouncer is installed here")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def server(folder: Path) -> Iterator[Server]:
 
 
 @pytest.mark.slow  # a server is made
-@needs_pooler
+@pytest.mark.usefixtures("pgbouncer")
 @pytest.mark.parametrize("drops_options", [False, True])
 def test_a_store_works_through_a_pooler_whose_clients_exchange_sessions(
     server: Server, folder: Path, drops_options: bool
@@ -74,7 +73,7 @@ def test_a_store_works_through_a_pooler_whose_clients_exchange_sessions(
 
 
 @pytest.mark.slow  # a server is made
-@needs_pooler
+@pytest.mark.usefixtures("pgbouncer")
 def test_a_pooler_is_refused_in_statement_mode_or_with_options_that_it_drops(server: Server, folder: Path):
     for mode, options, complaint in (
         ("statement", "", "statement mode.*needs pool_mode = transaction or session"),

@@ -162,11 +162,9 @@ def test_what_no_waiting_mends_is_not_called_away(server_url: str, tmp_path: Pat
     assert "\n" not in str(caught.value)
 
 
-def test_a_server_row_kept_locked_for_too_long_is_waited_for(
-    server_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(engines, "_SESSION", "-c lock_timeout=100ms")
-    with Store.open(server_url, create=True, blobs=str(tmp_path)) as store:
+def test_a_server_row_kept_locked_for_too_long_is_waited_for(server_url: str, tmp_path: Path):
+    impatient = server_url.replace("options=", "options=-c%20lock_timeout%3D100ms%20")
+    with Store.open(impatient, create=True, blobs=str(tmp_path)) as store:
         fill(store)
         with (
             store._db.changing(["cup"]),

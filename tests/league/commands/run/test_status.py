@@ -6,12 +6,15 @@ import subprocess
 import sys
 
 import pytest
+import sqlalchemy as sa
 
 from league.commands.run import status as module
 from league.commands.run.status import report, status
 from league.queries.league_status import gather_status
 from league.queries.query import Open
-from storage.records import CurvePoint, Job, Phase
+from storage.database import health
+from storage.records import CurvePoint, Job, League, Phase
+from storage.store import Store
 from tests.league.leagues import filled, finish, match
 
 HERE = socket.gethostname()
@@ -38,6 +41,17 @@ def words(opened, **given) -> str:
 
 def doing(opened) -> dict[str, str]:
     return {player["player"]: player["now"] for player in gather_status(opened).players}
+
+
+def test_a_transaction_that_another_client_holds_open_is_named(server_url, tmp_path, monkeypatch):
+    monkeypatch.setattr(health, "OPEN_SECONDS", -1.0)
+    other = sa.create_engine(sa.make_url(server_url).update_query_dict({"application_name": "nightly dump"}))
+    with Store.open(server_url, create=True, blobs=tmp_path) as store, other.connect() as db:
+        store.create_league(League("cup", ""))
+        pid = db.scalar(sa.text("SELECT pg_backend_pid()"))
+        text = report(Open(store))
+    other.dispose()
+    assert "Warning:\n  a transaction is open since 0 min (nightly dump, idle in transaction, " + f"pid {pid})" in text
 
 
 def test_a_league_that_nobody_manages_is_stopped(opened):
