@@ -10,7 +10,6 @@ through PgBouncer with 20 sessions of the server. Each uses a private server, wh
 
 import argparse
 import multiprocessing
-import secrets
 import tempfile
 import time
 from collections.abc import Callable
@@ -51,12 +50,20 @@ def work(place: tuple[str, str], number: int, start: Any, seconds: float, pause:
     done.put(took)
 
 
-def window(place: tuple[str, str], workers: int, seconds: float, pause: float, jobs: int) -> dict:
-    """Return jobs per second and latencies of so many processes on a full queue."""
-    run = secrets.token_hex(4)
+def fill(place: tuple[str, str], jobs: int) -> None:
+    """Make a store with a league and so many queued jobs."""
     with Store.open(place[0], create=True, blobs=place[1]) as store:
         store.create_league(League(LEAGUE, ""))
-        store.queue([Job(LEAGUE, "any", f"{run}:{i}") for i in range(jobs)])
+        for first in range(0, jobs, 1000):
+            store.queue([Job(LEAGUE, "any", str(i)) for i in range(first, min(jobs, first + 1000))])
+
+
+def window(place: tuple[str, str], direct: str, workers: int, seconds: float, pause: float) -> dict:
+    """Return jobs per second, latencies, and what the server counts, of so many processes on a full queue.
+
+    `direct` is the URL of the store without a pooler.
+    """
+    before = counted(direct)
     start, done = FORK.Barrier(workers), FORK.Queue()
     processes = [FORK.Process(target=work, args=(place, i, start, seconds, pause, done)) for i in range(workers)]
     for process in processes:
@@ -64,10 +71,13 @@ def window(place: tuple[str, str], workers: int, seconds: float, pause: float, j
     took = [done.get(timeout=seconds + 240) for _ in processes]
     for process in processes:
         process.join()
+    after = counted(direct)
     claims, finishes = ([ms for each in took for ms in each[i]] for i in (0, 1))
     return {
         "jobs_per_second": round(len(finishes) / seconds, 1), "claim_ms": quantiles(claims),
-        "finish_ms": quantiles(finishes), "load_average": load(),
+        "finish_ms": quantiles(finishes),
+        "pages_per_job": round((after["pages"] - before["pages"]) / len(finishes), 1),
+        "dead_rows": {name: after[name] for name in ("jobs", "leagues")}, "load_average": load(),
     }  # fmt: skip
 
 
@@ -76,25 +86,26 @@ def quantiles(values: list[float]) -> dict[str, float]:
     return {name: round(float(np.quantile(values, q)), 1) for name, q in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
 
 
-def dead(url: str) -> dict[str, int]:
-    """Return the dead rows of the tables with many updates, as the server counts them."""
+def counted(url: str) -> dict[str, int]:
+    """Return the dead rows of the tables with many updates, and the pages that the server has touched so far."""
     with psycopg.connect(url, autocommit=True) as db:
         time.sleep(1.5)  # statistics are reported with a delay
         names = "SELECT relname, n_dead_tup FROM pg_stat_user_tables WHERE relname IN ('jobs', 'leagues')"
-        return dict(db.execute(names).fetchall())
+        pages = "SELECT 'pages', blks_hit + blks_read FROM pg_stat_database WHERE datname = current_database()"
+        return dict(db.execute(f"{names} UNION ALL {pages}").fetchall())
 
 
 def held(server: Server, args: argparse.Namespace, folder: Path) -> dict:
     """Measure claims before, while and after another client's transaction is open."""
     url = server.url("held")
     place = (url, str(folder))
+    fill(place, args.jobs)
     phases: dict[str, Any] = {}
 
     def phase(name: str, windows: int) -> None:
         phases[name] = []
         for _ in range(windows):
-            found = window(place, 4, args.seconds, 0.0, int(400 * args.seconds))
-            phases[name].append({**found, "dead_rows": dead(url)})
+            phases[name].append(window(place, url, 4, args.seconds, 0.0))
 
     phase("before", 2)
     with psycopg.connect(url, application_name="pg_dump") as other:
@@ -116,10 +127,9 @@ def crowd(server: Server, args: argparse.Namespace, folder: Path) -> dict:
     pool = Bouncer(folder / "pool", server.port, default_pool_size="20")
     try:
         for name, port in (("direct", server.port), ("pgbouncer", pool.port)):
-            place = (server.url(f"crowd_{name}", port), str(folder))
-            jobs = int(args.workers * (args.crowd_seconds + 2))
-            found[name] = window(place, args.workers, args.crowd_seconds, 1.0, jobs)
-            found[name]["dead_rows"] = dead(server.url(f"crowd_{name}"))
+            place, direct = (server.url(f"crowd_{name}", port), str(folder)), server.url(f"crowd_{name}")
+            fill(place, int(args.workers * (args.crowd_seconds + 2)))
+            found[name] = window(place, direct, args.workers, args.crowd_seconds, 1.0)
     finally:
         pool.stop()
     return found
@@ -132,6 +142,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--seconds", type=float, default=10.0, help="of a window with or without the transaction")
     parser.add_argument("--windows", type=int, default=12, help="while the transaction is open")
+    parser.add_argument("--jobs", type=int, default=30_000, help="queued at the start of `held`")
     parser.add_argument("--workers", type=int, default=200)
     parser.add_argument("--crowd-seconds", type=float, default=30.0)
     args = parser.parse_args()
