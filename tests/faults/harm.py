@@ -119,8 +119,9 @@ def cut_line(scene: Scene) -> Counter[str]:
 def fail_over(scene: Scene) -> Counter[str]:
     """Crash the primary and promote its standby, which has heard nothing for some seconds."""
     assert scene.pair is not None
+    scene.pair.fall_behind(scene.rng.uniform(0, 4))
     before = scene.hunted.revision()
-    scene.pair.fail_over(scene.rng.uniform(0, 4))
+    scene.pair.fail_over()
     if scene.pool is not None:
         scene.pool.reload(scene.pair.primary.port)
     scene.hunted.direct = scene.pair.primary.url(LEAGUE)

@@ -132,10 +132,13 @@ class Pair:
         if self._synchronous:
             self.primary.settle(synchronous_standby_names="standby")
 
-    def fail_over(self, behind: float) -> None:
-        """Crash the primary when its standby has heard nothing for `behind` seconds, and promote the standby."""
+    def fall_behind(self, seconds: float) -> None:
+        """Let the standby hear nothing, and wait."""
         self._line.silence()
-        time.sleep(behind)
+        time.sleep(seconds)
+
+    def fail_over(self) -> None:
+        """Crash the primary, and promote the standby."""
         self.primary.stop("immediate")
         self._line.cut()
         self.standby.promote()

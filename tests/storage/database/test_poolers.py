@@ -107,7 +107,7 @@ def test_a_store_of_two_hosts_goes_on_with_the_standby_that_is_promoted(folder: 
                 assert [m.seed for m in copy.matches("cup")] == [1]
                 with pytest.raises(Unavailable, match="takes no writes now: is it a standby"):
                     copy.queue([Job("cup", "any", "b")])
-            pair.fail_over(0.0)
+            pair.fail_over()
             assert [m.seed for m in store.matches("cup")] == [1]
             assert store.queue([Job("cup", "any", "b")]) == 1
         assert verify(f"postgresql://league@{hosts}/league", str(folder / "two")).rows > 3
