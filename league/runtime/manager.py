@@ -161,7 +161,7 @@ class Manager:
         """Queue the next jobs and return the state of the run."""
         progress = training_progress.measure(self.config, state)
         turns = turn_scheduler.next_turns(self.config, state, progress)
-        training = bool(turns.jobs) or bool(progress.open)
+        training = bool(turns.jobs) or bool(progress.open) or bool(turns.awaited)
         if training:
             self._rating_until = math.inf
         elif self._rating_until == math.inf:
@@ -171,7 +171,7 @@ class Manager:
             self._rating_until = sys.float_info.max if left is None else time.monotonic() + left
         late = self._late() and not self._awaits_first_match(state)
         wanted = (
-            match_scheduler.next_matches(self.config, state, progress)
+            match_scheduler.next_matches(self.config, state, progress, turns.awaited)
             if self.config.workers.match and not late
             else turn_scheduler.Plan()
         )

@@ -9,6 +9,7 @@ others' newest. With a pair of the pool those take them that have played least.
 from collections.abc import Sequence
 
 from league.scheduling.progress_metrics import newest_snapshots
+from league.state.jobs import RatingMatch, decode
 from league.state.league_state import LeagueState
 from matchmaking.match_design import others_after
 from storage.records import Player, Snapshot
@@ -45,6 +46,12 @@ def complete(pairs: Sequence[tuple[str, str]], state: LeagueState, quota: int | 
         if quota is not None:
             episodes |= {name: episodes[name] + quota for name in lineup}
     return [*found.values()]
+
+
+def failed_alone(state: LeagueState) -> set[Lineup]:
+    """Return the lineups whose rating match was set aside although it was played alone: they are not played again."""
+    tasks = [decode(job) for job in state.jobs if job.kind == RatingMatch.kind and job.state == "failed"]
+    return {each.lineups[0] for each in tasks if isinstance(each, RatingMatch) and len(each.lineups) == 1}
 
 
 def team_rosters(players: Sequence[Player]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
-from league.scheduling.lineups import Lineup, complete
+from league.scheduling.lineups import Lineup, complete, failed_alone
 from league.scheduling.progress_metrics import can_meet, newest_snapshots, required_opponents
 from league.scheduling.rating_budget import next_slot
 from league.scheduling.training_progress import TrainingProgress
@@ -65,7 +65,9 @@ def _finite(seconds: float) -> float | None:
     return None if seconds == math.inf else seconds  # JSON has no infinity
 
 
-def next_matches(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
+def next_matches(
+    config: Config, state: LeagueState, progress: TrainingProgress | None = None, awaited: Sequence[Lineup] = ()
+) -> Plan:
     """Return the next rating jobs, one for each rating process; none while one is open or all pairs have their quota.
 
     While players learn, each newest snapshot meets the newest snapshots of all other players, its reference opponents
@@ -76,13 +78,15 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
     the same pairs play `final_episodes_per_pair` episodes each. Lineups of a batch that was set aside are played one by
     one, and one that was set aside alone is not played again.
 
-    `progress` is the training progress of this planning pass, by default computed here.
+    `progress` is the training progress of this planning pass, by default computed here. `awaited` are lineups without
+    which a turn cannot begin (`turn_scheduler.next_turns`): they come before all others and are not booked, because
+    nobody learns meanwhile.
     """
     if is_rating(state) or not any(s.player for s in state.snapshots):
         return Plan()
     progress = progress or training_progress.measure(config, state)
     rating, due = config.rating, None
-    if progress.training:
+    if progress.training and not awaited:
         if config.deterministic and not config.budget.by_rating:
             return Plan()  # the training done when a batch is due depends on the clock
         due = next_slot(rating.share, progress.seconds, state.batches)
@@ -93,7 +97,7 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
         return Plan(tuple(rating_job(config, state, [lineup], due) for lineup in alone))
     each = batch_sizes.batch(rating, "cpu").pairings  # the manager's settings have the number of its own device
     room = each * max(1, config.workers.match)
-    wanted = _wanted(config, state, progress.finished, room + len(never))
+    wanted = awaited or _wanted(config, state, progress.finished, room + len(never))
     lineups = [lineup for lineup in wanted if lineup not in never][:room]
     batches = [lineups[i : i + each] for i in range(0, len(lineups), each)]
     return Plan(tuple(rating_job(config, state, batch, due) for batch in batches))
@@ -165,14 +169,12 @@ def _set_aside(state: LeagueState) -> tuple[list[Lineup], set[Lineup]]:
     A failed batch whose pairs have met since is ignored: the key of a new batch of them would differ.
     """
     together: dict[Lineup, None] = {}
-    never: set[Lineup] = set()
+    never = failed_alone(state)
     for job in state.jobs:
         if job.kind == RatingMatch.kind and job.state == "failed":
             task = decode(job)
             assert isinstance(task, RatingMatch)
-            if len(task.lineups) == 1:
-                never.add(task.lineups[0])
-            elif encode(job.league, task, _about(state, task.lineups)).key == job.key:
+            if len(task.lineups) > 1 and encode(job.league, task, _about(state, task.lineups)).key == job.key:
                 together |= dict.fromkeys(task.lineups)
     return [lineup for lineup in together if lineup not in never], never
 

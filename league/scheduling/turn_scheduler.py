@@ -12,7 +12,8 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
-from league.scheduling.opponent_sampling import opponent_distribution
+from league.scheduling.lineups import Lineup, complete, failed_alone
+from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
 from league.state.jobs import TrainingTurn, encode
@@ -26,21 +27,28 @@ Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it w
 
 @dataclass(frozen=True)
 class Plan:
-    """Jobs to queue, and the phases of schedules that they belong to."""
+    """Jobs to queue, the phases of schedules that they belong to, and the matches without which a turn cannot begin."""
 
     jobs: tuple[Job, ...] = ()
     phases: tuple[Phase, ...] = ()
+    awaited: tuple[Lineup, ...] = ()
 
 
 def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
     """Return a turn for every group that has none open and is not finished; the first turn only makes the players.
 
+    A group whose opponents are drawn from a payoff table that is to be complete has no turn until it is: the matches
+    that it awaits are in the plan.
+
     `progress` is the training progress of this planning pass, by default computed here.
     """
     progress = progress or training_progress.measure(config, state)
-    jobs, phases = [], []
+    jobs, phases, awaited = [], [], dict[Lineup, None]()
     for name in _next_groups(config, progress):
         group = progress.groups[name]
+        if missing := _awaited(config, state, group):
+            awaited |= dict.fromkeys(missing)
+            continue
         turn = (
             _first_turn(state, name, group) if group.phase is None else _turn(config, state, name, group, group.phase)
         )
@@ -48,7 +56,23 @@ def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | 
         about = [name, turn.phase, turn.learners, turn.iterations, dict(turn.bases), turn.retry]
         jobs.append(encode(config.league, turn, about, priority=1))
         phases += [group.phase] if group.phase is not None else []
-    return Plan(tuple(jobs), tuple(phases))
+    return Plan(tuple(jobs), tuple(phases), tuple(awaited))
+
+
+def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[Lineup]:
+    """Return the lineups that have to play before a group's next turn; none if its rules do not wait for matches."""
+    missing: dict[frozenset[str], tuple[str, str]] = {}
+    payoff, quota = state.ladder.payoff, config.rating.episodes_per_pair
+    for learner in group.learners:
+        rule = learner.role.opponents
+        if rule is None or not rule.await_matches:
+            continue
+        for team in {p.team for p in state.players} - {learner.player.team}:
+            for a, b in table_pairs(rule, state, learner.player, team, learner.role):
+                if payoff.episodes[payoff.index(a), payoff.index(b)] < quota:
+                    missing.setdefault(frozenset((a, b)), (a, b))
+    never = failed_alone(state) if missing else set()
+    return [lineup for lineup in complete([*missing.values()], state) if lineup not in never]
 
 
 def _next_groups(config: Config, progress: TrainingProgress) -> list[str]:
