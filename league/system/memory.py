@@ -8,6 +8,7 @@ import resource
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from agents.settings import SAC
 from league.config.experiment import Config
 from storage.errors import StorageError
 
@@ -64,7 +65,18 @@ def learning(config: Config, arena: "Arena", worlds: int, at_once: int = 1) -> i
         sides = len(arena.teams) if config.learner.critic_input == "same" else 1
         numbers += sides * len(arena.teams) * sum(agent.observation_size for agent in arena.agents)
     wide = at_once * LAYERS * max(config.learner.architecture.hidden)
-    return 4 * worlds * config.training.rollout_length * (COPIES * numbers + wide)
+    return 4 * worlds * config.training.rollout_length * (COPIES * numbers + wide) + replay(config, arena)
+
+
+def replay(config: Config, arena: "Arena") -> int:
+    """Return the bytes of the replay buffers of all players that have one."""
+    if SAC not in config.learner_classes:
+        return 0
+    seen = sum(agent.observation_size for agent in arena.agents)
+    more = arena.privileged_size if config.learner.critic_input == "privileged" else 0
+    numbers = 2 * (seen + more) + sum(agent.action_size + 2 for agent in arena.agents) + 8
+    lineups = max(1.0, len(config.players) / len(arena.teams))  # as many players of each team
+    return int(4 * numbers * lineups * config.learner.sac.replay.capacity)
 
 
 def is_short(error: BaseException) -> bool:
