@@ -284,6 +284,11 @@ class Storage:
     worker_retention: str = field(default="1d", metadata={"valid": _lasts, "formerly": "workers"})
     """Time for which the store remembers a process that has stopped reporting."""
 
+    @property
+    def worker_retention_seconds(self) -> float:
+        """That time in seconds."""
+        return seconds(self.worker_retention)
+
 
 def named_players(players: tuple[PlayerSettings, ...]) -> tuple[PlayerSettings, ...]:
     """Return the players with default names and groups filled in."""

@@ -29,6 +29,7 @@ from matchmaking.opponents import (
     pfsp,
     uniform,
 )
+from matchmaking.ratings.scores import Score, score_interval
 from matchmaking.roles import LEAGUE_EXPLOITER, MAIN, Role, is_exploiter
 from storage.records import Meeting, Player, Snapshot
 
@@ -158,6 +159,29 @@ def records(opponents: Opponents, state: LeagueState, learner: Player, since: in
     for game in _games(state, learner, since):
         known.note(game.opponent, game.wins, game.draws, game.losses)
     return known
+
+
+def candidate_scores(role: Role, state: LeagueState, learner: Player, since: Snapshot) -> dict[str, Score]:
+    """Compute win rates after a snapshot against all candidates; of a main exploiter's, against each player's newest.
+
+    Empty for a role whose generations end at no win rate.
+    """
+    assert role.opponents is not None
+    if role.win_rate is None:
+        return {}
+    found: dict[str, Score] = {}
+    known = records(role.opponents, state, learner, since.iteration)
+    for team in sorted({p.team for p in state.players} - {learner.team}):
+        pool = met_in(role, role.opponents, state, team)
+        if role.opponents.kind == "exploit":
+            pool = list({s.player: s for s in pool}.values())
+        elif role.opponents.kind == "latest":
+            pool = pool[-1:]
+        for name in (s.name for s in pool):
+            kept = known.against(name)
+            low, high = score_interval(kept.score, 0, kept.games - kept.score)
+            found[name] = Score(kept.rate, float(low), float(high), int(known.games([name])[0]))
+    return found
 
 
 def qualities(

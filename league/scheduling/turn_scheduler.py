@@ -12,11 +12,10 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
-from league.scheduling.lineups import Lineup, complete, failed_alone
 from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
-from league.state.jobs import TrainingTurn, encode
+from league.state.jobs import TrainingTurn, encode, failed_alone
 from league.state.league_state import LeagueState
 from matchmaking.schedule import next_due
 from storage.records import Job, Phase, Player
@@ -27,23 +26,25 @@ Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it w
 
 @dataclass(frozen=True)
 class Plan:
-    """Jobs to queue, the phases of schedules that they belong to, and the matches without which a turn cannot begin."""
+    """Jobs to queue, the phases of schedules that they belong to, and the pairs without
+    whose matches a turn cannot begin.
+    """
 
     jobs: tuple[Job, ...] = ()
     phases: tuple[Phase, ...] = ()
-    awaited: tuple[Lineup, ...] = ()
+    awaited: tuple[tuple[str, str], ...] = ()
 
 
 def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
     """Return a turn for every group that has none open and is not finished; the first turn only makes the players.
 
-    A group whose opponents are drawn from a payoff table that is to be complete has no turn until it is: the matches
-    that it awaits are in the plan.
+    A group whose opponents are drawn from a payoff table that is to be complete has no turn until it is: the pairs
+    that have to meet are in the plan.
 
     `progress` is the training progress of this planning pass, by default computed here.
     """
     progress = progress or training_progress.measure(config, state)
-    jobs, phases, awaited = [], [], dict[Lineup, None]()
+    jobs, phases, awaited = [], [], dict[tuple[str, str], None]()
     for name in _next_groups(config, progress):
         group = progress.groups[name]
         if missing := _awaited(config, state, group):
@@ -59,8 +60,11 @@ def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | 
     return Plan(tuple(jobs), tuple(phases), tuple(awaited))
 
 
-def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[Lineup]:
-    """Return the lineups that have to play before a group's next turn; none if its rules do not wait for matches."""
+def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[tuple[str, str]]:
+    """Return the pairs that have to meet before a group's next turn; none if its rules do not wait for matches.
+
+    A pair in a match that was set aside for good is not awaited.
+    """
     missing: dict[frozenset[str], tuple[str, str]] = {}
     payoff, quota = state.ladder.payoff, config.rating.episodes_per_pair
     for learner in group.learners:
@@ -71,8 +75,8 @@ def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[L
             for a, b in table_pairs(rule, state, learner.player, team, learner.role):
                 if payoff.episodes[payoff.index(a), payoff.index(b)] < quota:
                     missing.setdefault(frozenset((a, b)), (a, b))
-    never = failed_alone(state) if missing else set()
-    return [lineup for lineup in complete([*missing.values()], state) if lineup not in never]
+    never = [set(lineup) for lineup in failed_alone(state.jobs)] if missing else []
+    return [pair for pair in missing.values() if not any({*pair} <= lineup for lineup in never)]
 
 
 def _next_groups(config: Config, progress: TrainingProgress) -> list[str]:

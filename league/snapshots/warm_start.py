@@ -19,7 +19,7 @@ from league.config import toml
 from league.config.experiment import Config
 from league.config.sections import Rating
 from league.queries.league_settings import LeagueSettings
-from league.scheduling.stage_completion import handed_on
+from league.scheduling.training_progress import handed_on
 from league.snapshots import policy_file
 from league.state.league_state import LeagueState
 from storage.blobs import arrays, programs

@@ -10,6 +10,7 @@ from league.config.schema import ConfigError
 PRESETS: Mapping[str, Callable[[], Config]] = {
     "quickstart": quick_starts.quickstart,
     "duel": quick_starts.duel,
+    "rovers": quick_starts.rovers,
     "tag": team_games.tag,
     "selfplay": quick_starts.selfplay,
     "leapfrog": quick_starts.leapfrog,

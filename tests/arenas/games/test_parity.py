@@ -19,10 +19,10 @@ MOVED = 1e-7  # m and rad, by which a start is moved to see how much of a gap co
 SCENES = {name: arenas.load(name, engine="c").scene for name in arenas.names()}
 GAMES = sorted({scene.xml: name for name, scene in SCENES.items() if scene.agents}.values())  # one for each model
 OTHERS = ("jax", "warp")
-# Rovers, blocks, a ball, tanks and drones meet in these; each robot alone is compared in test_bodies_on_engines.py.
+# Blocks, a ball, tanks and drones meet robots in these. Two rovers meet in test_decisions.py, and each robot alone is
+# compared in test_bodies_on_engines.py.
 IN_CI = {
-    ("sumo-1v1", "jax"), ("sumo-1v1", "warp"), ("block-push-leatherback", "warp"), ("soccer-1v1", "warp"),
-    ("galaga-1v1", "warp"), ("sumo-ants", "warp"),
+    ("block-push-leatherback", "warp"), ("soccer-1v1", "warp"), ("galaga-1v1", "warp"), ("sumo-ants", "warp"),
 }  # fmt: skip
 TRIED = [
     pytest.param(name, engine, marks=pytest.mark.slow if (name, engine) in IN_CI else pytest.mark.gpu)
