@@ -179,11 +179,16 @@ class Replay:
 
     def saved(self) -> dict[str, Tensor]:
         """Return the rows that were written, in their places, and all else that `load` needs."""
-        there, state = slice(self.written), torch.tensor([self.at, self.usable])
+        there, state = slice(self.written), torch.tensor([self.at, self.usable, self.capacity])
         return {"rows": self.rows[there], "valid": self.valid[there], "tags": self.tags[there], "state": state}
 
     def load(self, rows: Tensor, valid: Tensor, tags: Tensor, state: Tensor) -> None:
-        """Hold what `saved` gave."""
+        """Hold what `saved` gave; of a larger ring the newest rows."""
+        at, usable, capacity = map(int, state)
+        same, held = capacity == self.capacity, (rows, valid, tags)
+        if not same and len(rows) == capacity:
+            held = [x.roll(-at, 0) for x in held]  # the oldest row first
         self.clear()
-        self.append(rows, valid, tags)
-        self.at, self.usable = map(int, state)
+        self.append(*held)
+        self.at = at if same else self.at
+        self.usable = min(usable, self.capacity)

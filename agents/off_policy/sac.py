@@ -106,6 +106,8 @@ class SacLearner:
         """
         with matmul_precision(self.config.precision):
             self.device_rng.manual_seed(draw_seed(self.rng))
+            for metric_sums in self._metric_sums():
+                metric_sums.sums.zero_()
             replay = self._remember(batch)
             found = {"replay": float(replay.usable)}
             if replay.usable >= self.own.replay.start:
@@ -195,8 +197,6 @@ class SacLearner:
         """Take the steps that are due for `new` decisions."""
         own, rng = self.own, self.device_rng
         run = self.graphs.for_shape((own.batch,))
-        for metric_sums in self._metric_sums():
-            metric_sums.sums.zero_()
         for _ in range(max(1, round(own.replay_ratio * new / own.batch))):
             places = replay.draw(own.batch, rng)
             noise = torch.randn(2, own.batch, sum(self._action_sizes), generator=rng, device=self.device)

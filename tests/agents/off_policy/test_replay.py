@@ -73,6 +73,18 @@ def test_a_saved_ring_goes_on_alike():
     assert (one.usable, one.at, one.written) == (other.usable, other.at, other.written)
 
 
+@pytest.mark.parametrize(("capacity", "held"), [(20, range(20, 40)), (50, range(10, 40))])
+def test_a_ring_of_another_size_takes_over_the_newest(capacity, held):
+    small, other = Replay(30, 1, CPU), Replay(capacity, 1, CPU)
+    for first in (0, 20):
+        small.append(*numbered(first, 20))
+    other.load(**small.saved())
+    assert drawn(other).nonzero()[:, 0].tolist() == list(held)
+    other.append(*numbered(50, 5))
+    kept = [*held, *range(50, 55)][-capacity:]
+    assert drawn(other).nonzero()[:, 0].tolist() == kept
+
+
 @pytest.mark.parametrize("sees", ["own", "others", "whole"])
 def test_a_row_holds_all_of_a_decision(sees):
     batch, rng = experience(1), torch.Generator().manual_seed(2)

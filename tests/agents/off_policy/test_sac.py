@@ -184,7 +184,8 @@ def test_without_it_a_learner_waits_until_the_buffer_is_full_enough_again():
     one, other = learner(), learner(seed=2)
     for seed in range(3):
         one.learn(experience(seed))
-    other.learn(experience(77))
+    for seed in (77, 78):
+        assert ("value_loss" in other.learn(experience(seed))) == (seed == 78)
     other.load(one.save())
     assert not any(name.startswith("replay") for name in one.save())
     told = other.learn(experience(3))
