@@ -160,12 +160,16 @@ class SacSettings:
     """Decisions per gradient step."""
     replay_ratio: float = field(default=4.0, metadata={"above": 0.0, "high": 10_000.0})
     """Update-to-data ratio: decisions in gradient steps of the critic for each new decision."""
+    n_step: int = field(default=3, metadata={"low": 1, "high": 1000})
+    """Decisions whose rewards count before the critic's value, as far as the rollout and the episode go."""
     actor_every: int = field(default=2, metadata={"low": 1, "high": 1000})
     """Steps of the critic for each step of the actors."""
     critic_hidden: tuple[int, ...] = field(default=(256, 256), metadata={"low": 1, "high": 8192, "most": MAX_LAYERS})
     """Widths of the critics' hidden layers."""
     bins: int = field(default=101, metadata={"low": 0, "high": 10_001})
     """Bins of the critics' output."""
+    least: bool = False
+    """Targets and actors follow the lesser one of the twins' values; false: their mean."""
     tau: float = field(default=0.01, metadata={"above": 0.0, "high": 1.0})
     """Share of the critics' weights that the target networks take over in each step."""
     target_entropy: float = field(default=-0.5, metadata={"low": -100.0, "high": 10.0})

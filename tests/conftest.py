@@ -48,6 +48,26 @@ def pytest_runtest_call(item: pytest.Item) -> None:
     _seed(item.nodeid)
 
 
+@pytest.fixture(autouse=True)
+def _optimised(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Let XLA optimise fully what tests marked `optimised` compile, where it optimises little otherwise.
+
+    JAX asks for this when it compiles, and a program that it has compiled stays as it is until JAX forgets it.
+    """
+    if request.node.get_closest_marker("optimised") is None:
+        yield
+        return
+    import jax
+
+    setting = "jax_disable_most_optimizations"
+    little = jax.config.read(setting)
+    jax.config.update(setting, False)
+    jax.clear_caches()
+    yield
+    jax.config.update(setting, little)
+    jax.clear_caches()
+
+
 def pytest_collection_finish() -> None:
     """Leave what has been imported out of garbage collections: each would look through it for half a second."""
     gc.collect()

@@ -161,4 +161,4 @@ class RewardScale(nn.Module):
     def unit(self) -> Tensor:
         """() The unit, 1 before the first reward that is not 0."""
         unit = torch.maximum(self.square.sqrt(), self.most / LIMIT)
-        return torch.where(unit > 0, unit, 1.0)
+        return unit + (unit == 0)

@@ -19,14 +19,14 @@ class Decisions(NamedTuple):
     """B decisions of a team of n agents; sequences hold one entry per agent."""
 
     observations: Sequence[Tensor]  # (B, obs), zeros where the agent was out of the game
-    next_observations: Sequence[Tensor]  # (B, obs)
+    next_observations: Sequence[Tensor]  # (B, obs) in the state in which it bootstraps
     more: Tensor  # (B, more) what the critic observes beside its team's observations
     next_more: Tensor  # (B, more)
     actions: Tensor  # (B, sum of act), one agent's after the other's
     alive: Tensor  # (B, n) 1 where the agent took part, else 0
     next_alive: Tensor  # (B, n)
-    rewards: Tensor  # (B,)
-    goes_on: Tensor  # (B,) 0 where the episode terminated, else 1: a truncated one goes on
+    rewards: Tensor  # (B,) discounted sum up to the state in which it bootstraps
+    discounts: Tensor  # (B,) of that state's value: γ to the number of decisions up to there; 0 if the game is over
 
 
 class Layout:
@@ -38,22 +38,61 @@ class Layout:
         self._sizes = [*self.observation_sizes, *self.observation_sizes, more, more, sum(action_sizes), n, n, 1, 1]
         self.width = sum(self._sizes)
 
-    def rows(self, batch: Batch) -> Tensor:
-        """Return the decisions of a clean batch as rows (T·N, width), those of one step after the other."""
+    def rows(self, batch: Batch, gamma: float, steps: int = 1) -> Tensor:
+        """Return the decisions of a clean batch as rows (T·N, width), those of one step after the other.
+
+        Returns have up to so many `steps`.
+        """
+        returns = multi_step_returns(batch, gamma, steps)
         more, next_more = _more(batch, sum(self.observation_sizes))
         alive, next_alive = (torch.stack(list(each), -1).float() for each in (batch.alive, batch.next_alive))
-        ends = torch.stack([batch.rewards, (~batch.terminated).float()], -1)
-        parts = [*batch.observations, *batch.next_observations, *more, *next_more, *batch.actions]
-        return torch.cat([*parts, alive, next_alive, ends], -1).flatten(0, 1)
+        following = [
+            _at(x, returns.last) if steps > 1 else x for x in (*batch.next_observations, *next_more, next_alive)
+        ]
+        n, ends = len(self.observation_sizes), torch.stack([returns.rewards, returns.discounts], -1)
+        parts = [*batch.observations, *following[:n], *more, *following[n:-1], *batch.actions]
+        return torch.cat([*parts, alive, following[-1], ends], -1).flatten(0, 1)
 
     def decisions(self, rows: Tensor) -> Decisions:
         """Return rows (B, width) as decisions; all are views."""
         parts, n = rows.split(self._sizes, -1), len(self.observation_sizes)
-        *middle, rewards, goes_on = parts[2 * n :]
+        *middle, rewards, discounts = parts[2 * n :]
         more, next_more, actions, alive, next_alive = middle
         return Decisions(
-            parts[:n], parts[n : 2 * n], more, next_more, actions, alive, next_alive, rewards[:, 0], goes_on[:, 0]
+            parts[:n], parts[n : 2 * n], more, next_more, actions, alive, next_alive, rewards[:, 0], discounts[:, 0]
         )
+
+
+class Returns(NamedTuple):
+    """Returns over some decisions of a batch, from each of them on."""
+
+    rewards: Tensor  # (T, N) discounted sum
+    discounts: Tensor  # (T, N) of the value of the state that followed; 0 where the game was over
+    last: Tensor  # (T, N) int64: the last decision whose reward counts
+
+
+def multi_step_returns(batch: Batch, gamma: float, steps: int) -> Returns:
+    """Return the returns over up to `steps` decisions of the same policy (Sutton, 1988), as far as the batch goes.
+
+    They end with the episode, and before a void decision, whose state is the last one that is known.
+    """
+    T, over = len(batch.rewards), batch.terminated | batch.truncated | batch.void
+    at = torch.arange(T, device=over.device)[:, None]
+    rewards, last = batch.rewards.clone(), at.expand(over.shape).clone()
+    open_ = ~over
+    for step in range(1, min(steps, T)):
+        here = (at + step).clamp(max=T - 1).expand(over.shape)
+        open_ = open_ & (at + step < T) & ~batch.void.gather(0, here)
+        rewards += gamma**step * batch.rewards.gather(0, here) * open_
+        last += open_
+        open_ = open_ & ~over.gather(0, here)
+    discounts = gamma ** (last - at + 1) * ~batch.terminated.gather(0, last)
+    return Returns(rewards, discounts, last)
+
+
+def _at(values: Tensor, decisions: Tensor) -> Tensor:
+    """Return the values (T, N, ...) of other `decisions` (T, N) of the same worlds."""
+    return values.gather(0, decisions[..., None].expand(values.shape))
 
 
 def more_size(batch: Batch) -> int:
@@ -140,11 +179,16 @@ class Replay:
 
     def saved(self) -> dict[str, Tensor]:
         """Return the rows that were written, in their places, and all else that `load` needs."""
-        there, state = slice(self.written), torch.tensor([self.at, self.usable])
+        there, state = slice(self.written), torch.tensor([self.at, self.usable, self.capacity])
         return {"rows": self.rows[there], "valid": self.valid[there], "tags": self.tags[there], "state": state}
 
     def load(self, rows: Tensor, valid: Tensor, tags: Tensor, state: Tensor) -> None:
-        """Hold what `saved` gave."""
+        """Hold what `saved` gave; of a larger ring the newest rows."""
+        at, usable, capacity = map(int, state)
+        same, held = capacity == self.capacity, (rows, valid, tags)
+        if not same and len(rows) == capacity:
+            held = [x.roll(-at, 0) for x in held]  # the oldest row first
         self.clear()
-        self.append(rows, valid, tags)
-        self.at, self.usable = map(int, state)
+        self.append(*held)
+        self.at = at if same else self.at
+        self.usable = min(usable, self.capacity)

@@ -4,7 +4,11 @@ The team has a squashed Gaussian actor and a temperature for each agent, and a t
 its agents' actions. After each rollout its decisions join the replay buffer, and `replay_ratio` decisions for each new
 one are learnt from:
 
-    y = r / unit + γ (1 − terminated) (mean of both target critics (s', a') − Σᵢ αᵢ log πᵢ(a'ᵢ | o'ᵢ)),  a' ~ π
+    y = r / unit + γ (1 − terminated) (Q'(s', a') − Σᵢ αᵢ (log πᵢ(a'ᵢ | o'ᵢ) + H̄ᵢ)),  a' ~ π
+
+or the same over `n_step` decisions. Q' is the mean of both target critics. Temperatures αᵢ keep each entropy at
+H̄ᵢ, and the bonus counts from there: its mean is then 0. Thus values stay in the range of the rewards, and an early end
+costs nothing more than they say.
 
 Agents then improve one after the other in a random order, each with the new actions of those before it (HASAC, Liu et
 al., 2024), or all at once. Agents that are out of the game act by zeros and add nothing to the sum.
@@ -32,6 +36,7 @@ from agents.settings import HappoConfig
 from arenas.state import AgentSpec
 
 SAVED = ("rows", "valid", "tags", "state")  # of the replay buffer
+TEMPERATURE_PACE = 10.0  # of its learning rate, since it has to follow the entropy
 MOST_SAVED = 16 * 2**20  # bytes of a buffer in a checkpoint
 
 
@@ -70,8 +75,9 @@ class SacLearner:
         )
         self.rewards = RewardScale().to(device)
         self.temperatures = _Temperatures(len(agents), self.own.temperature).to(device)
-        lr = torch.tensor(self.own.lr, device=device)
-        self.critic_optimizer, self.temperature_optimizer = Adam(self.critic, lr), Adam(self.temperatures, lr)
+        self.critic_optimizer = Adam(self.critic, torch.tensor(self.own.lr, device=device))
+        faster = torch.tensor(min(1.0, TEMPERATURE_PACE * self.own.lr), device=device)
+        self.temperature_optimizer = Adam(self.temperatures, faster)
         self.metric_sums = MetricSums(("value_loss", "value", "critic_grad_norm"), device)
         self.replay: Replay | None = None  # from the first batch on: a league makes more learners than learn
         self.steps = torch.zeros((), dtype=torch.int64)  # of the critic
@@ -100,6 +106,8 @@ class SacLearner:
         """
         with matmul_precision(self.config.precision):
             self.device_rng.manual_seed(draw_seed(self.rng))
+            for metric_sums in self._metric_sums():
+                metric_sums.sums.zero_()
             replay = self._remember(batch)
             found = {"replay": float(replay.usable)}
             if replay.usable >= self.own.replay.start:
@@ -160,7 +168,8 @@ class SacLearner:
         layout, replay = self._layout, self._buffer()
         if more_size(batch) != self._layout.more:
             raise ValueError(f"the critic observes {more_size(batch)} further numbers, not {self._layout.more}")
-        rows, valid = layout.rows(batch), valid_rows(batch)
+        rows = layout.rows(batch, self.config.gamma, self.own.n_step)
+        valid = valid_rows(batch)
         T, N = batch.void.shape
         tags = torch.tensor(self._tags, device=self.device).repeat_interleave(N // len(self._tags)).repeat(T)
         replay.append(rows, valid, tags)
@@ -188,8 +197,6 @@ class SacLearner:
         """Take the steps that are due for `new` decisions."""
         own, rng = self.own, self.device_rng
         run = self.graphs.for_shape((own.batch,))
-        for metric_sums in self._metric_sums():
-            metric_sums.sums.zero_()
         for _ in range(max(1, round(own.replay_ratio * new / own.batch))):
             places = replay.draw(own.batch, rng)
             noise = torch.randn(2, own.batch, sum(self._action_sizes), generator=rng, device=self.device)
@@ -216,7 +223,8 @@ class SacLearner:
             any_valid, value_loss=loss, value=targets.mean() * self.rewards.unit, critic_grad_norm=norm
         )
         with torch.no_grad():
-            theirs, mine = ([*critic.parameters()] for critic in (self.target, self.critic))
+            theirs: list[Tensor] = [*self.target.parameters()]
+            mine: list[Tensor] = [*self.critic.parameters()]
             torch._foreach_lerp_(theirs, mine, self.own.tau)  # pyright: ignore[reportPrivateImportUsage]
 
     @torch.no_grad()
@@ -228,16 +236,17 @@ class SacLearner:
             own, log_probs = agent.sample(batch.next_observations[i], noise)
             there = batch.next_alive[:, i]
             actions.append(own * there[:, None])
-            bonus -= temperatures[i] * log_probs * there
+            bonus -= temperatures[i] * (log_probs + self._target_entropies[i]) * there
         seen = self.input_norm(_critic_seen(batch, after=True))
         values = self._values(self.target, seen, torch.cat(actions, -1))
-        return batch.rewards / self.rewards.unit + self.config.gamma * batch.goes_on * (values + bonus)
+        return batch.rewards / self.rewards.unit + batch.discounts * (values + bonus)
 
     def _values(self, critic: TwinCritic, seen: Tensor, actions: Tensor) -> Tensor:
         """Return the mean of both critics' values (B,)."""
         with autocast_networks(self.config.precision, seen.device):
             logits = critic(seen, actions / self._limit)
-        return self.bins.values(logits).mean(0)
+        values = self.bins.values(logits)
+        return values.amin(0) if self.own.least else values.mean(0)
 
     def _improve_actors(self, run: Runner, rows: Tensor, noise: Tensor) -> None:
         """Take one step of each actor, then one of the temperatures."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 SHARE = 0.8  # of the available memory, for training
 COPIES = 4  # of each number in a batch: as collected, cleaned, in an actor's input, and in the order of a pass
 LAYERS = 3  # copies of the widest layer's numbers in a pass of a whole batch: input, products, output
+BOOKKEEPING = 7  # further numbers of a decision in a replay buffer: its return, whether it counts, against whom it was
 SIGNS = ("resource_exhausted", "out of memory", "can't allocate memory", "failed to allocate")  # JAX, torch, Warp
 SHORT = "out of memory"  # first words of the message about a turn that did not fit
 CGROUP = Path("/sys/fs/cgroup/memory.max")
@@ -72,9 +73,12 @@ def replay(config: Config, arena: "Arena") -> int:
     """Return the bytes of the replay buffers of all players that have one."""
     if SAC not in config.learner_classes:
         return 0
-    seen = sum(agent.observation_size for agent in arena.agents)
-    more = arena.privileged_size if config.learner.critic_input == "privileged" else 0
-    numbers = 2 * (seen + more) + sum(agent.action_size + 2 for agent in arena.agents) + 8
+    seen, sees = sum(agent.observation_size for agent in arena.agents), config.learner.critic_input
+    numbers = 0
+    for team in arena.teams:
+        own = sum(agent.observation_size for agent in team.agents)
+        more = {"privileged": arena.privileged_size, "all": seen - own}.get(sees, 0)
+        numbers += 2 * (own + more) + sum(agent.action_size + 2 for agent in team.agents) + BOOKKEEPING
     lineups = max(1.0, len(config.players) / len(arena.teams))  # as many players of each team
     return int(4 * numbers * lineups * config.learner.sac.replay.capacity)
 

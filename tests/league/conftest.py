@@ -32,6 +32,11 @@ SMALL = (
 TINY = ("--arena.name", "sumo-1v1", *SMALL)
 PUCKS = ("--arena.name", f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race", *SMALL)  # compiles in half the time
 BODILESS = ("--arena.name", "rock-paper-scissors", *SMALL)  # no physics: compiled in a second, and only once
+SMALLER = (
+    "--league", "small", "--training.worlds", "32", "--training.rollout_length", "16", "--rating.worlds", "16",
+    "--rating.pairings", "2", "--rating.episodes_per_pair", "8", "--rating.final-episodes-per-pair", "8",
+    "--rating.milestones", "1s",
+)  # fmt: skip
 
 
 def command(*args: str) -> list[str]:
@@ -109,7 +114,7 @@ def ran_once(factory: pytest.TempPathFactory, name: str, *args: str) -> Path:
 @pytest.fixture(scope="session")
 def tiny_league(tmp_path_factory):
     """The folder in which a tiny league has been run to the end of its budget, and what it printed."""
-    folder = ran_once(tmp_path_factory, "tiny", *TINY, "--steps", "33000", "--budget.rating_time", "30s")
+    folder = ran_once(tmp_path_factory, "tiny", *TINY, "--steps", "33000", "--budget.rating_time", "12s")
     return folder, (folder / "out.txt").read_text()
 
 
@@ -118,6 +123,20 @@ def bodiless_league(tmp_path_factory) -> Path:
     """The folder of a league without bodies that has had its budget of four iterations and plays no matches."""
     without = ("--budget.rating_time", "0s", "--workers.match", "0")
     return ran_once(tmp_path_factory, "bodiless", *BODILESS, "--steps", "8192", *without)
+
+
+@pytest.fixture(scope="session")
+def rated_league(tmp_path_factory) -> Path:
+    """The folder of a small league without bodies that was trained and rated until all had met."""
+    until_all_met = ("--steps", "1500", "--budget.rating_time", "5m")
+    return ran_once(tmp_path_factory, "rated", "--arena.name", "rock-paper-scissors", *SMALLER, *until_all_met)
+
+
+@pytest.fixture
+def optimised_runs(monkeypatch) -> None:
+    """Let XLA optimise fully what leagues compile that a test starts, as theirs does that a user starts."""
+    monkeypatch.delitem(ENVIRONMENT, "JAX_DISABLE_MOST_OPTIMIZATIONS", raising=False)
+    monkeypatch.delitem(ENVIRONMENT, "XLA_FLAGS", raising=False)
 
 
 @pytest.fixture

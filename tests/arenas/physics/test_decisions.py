@@ -133,23 +133,23 @@ def test_an_end_within_a_decision_is_final(cut):
     assert frames.events["arrival"][0, :, 0].tolist() == [True, False, False, False, False]
 
 
-def drive(arena, head_on, decisions):
+def drive(worlds, head_on, decisions):
     """Where both rovers are after each decision (T, worlds, 2, 3), from random starts or nose to nose."""
     keys = jax.random.split(jax.random.key(3), 4)
-    state = jax.jit(jax.vmap(arena.reset))(keys)
+    state, arena = worlds.reset(keys), worlds.arena
     base = np.array([arena.scene.agents[name].qpos for name in ROVERS])[:, None] + np.arange(3)
     if head_on:
         qpos = np.array(state.physics.qpos)
         for world in range(4):
             qpos[world, base[0, 0] : base[0, 0] + 7] = [-0.3, 0.02 * world, 0.052, 1, 0, 0, 0]
             qpos[world, base[1, 0] : base[1, 0] + 7] = [0.3, 0, 0.052, 0, 0, 0, 1]
-        place = jax.jit(jax.vmap(arena.engine.place))
-        state = state._replace(physics=place(state.physics, jnp.asarray(qpos), state.physics.qvel, jnp.ones(4, bool)))
-    step, path = jax.jit(jax.vmap(arena.step)), []
+        placed = worlds.place(state.physics, jnp.asarray(qpos), state.physics.qvel, jnp.ones(4, bool))
+        state = state._replace(physics=placed)
+    path = []
     for t in range(decisions):
         random = jax.random.uniform(jax.random.fold_in(keys[0], t), (2, 4, 2), minval=-1.0)
         actions = jnp.tile(jnp.array([1.0, 0.1]), (2, 4, 1)) if head_on else random
-        state = step(state, dict(zip(ROVERS, actions, strict=True)))
+        state = worlds.step(state, dict(zip(ROVERS, actions, strict=True)))
         path.append(np.asarray(state.physics.qpos)[:, base])
     return np.stack(path)
 
@@ -173,8 +173,8 @@ def test_full_throttle_is_the_speed_of_the_wheels(duel, stand):
 # just after it, at 0.2 s, 8 and 1 mm; after a second 6 and 10 cm.
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["jax", "warp"])
-def test_rovers_drive_alike_on_every_engine(duel, engine):
-    other = arenas.load("sumo-1v1", engine=engine, worlds=4)
+def test_rovers_drive_alike_on_every_engine(duel, worlds, engine):
+    other = worlds(arenas.load("sumo-1v1", engine=engine, worlds=4))
     for head_on, decisions, tolerance in ((False, 5, 5e-5), (True, 2, 2e-2)):
-        gap = np.abs(drive(other, head_on, decisions) - drive(duel.arena, head_on, decisions))
+        gap = np.abs(drive(other, head_on, decisions) - drive(duel, head_on, decisions))
         assert gap.max() < tolerance

@@ -4,31 +4,36 @@ import pytest
 
 from league.commands.analyse.ratings import ratings
 from storage.store import Store
-from tests.league.conftest import ROOT, call
+from tests.league.conftest import ROOT, SMALLER, call
 
-SMALL = (
-    "--league", "small", "--training.worlds", "32", "--training.rollout_length", "16", "--rating.worlds", "16",
-    "--rating.pairings", "2", "--rating.episodes_per_pair", "8", "--rating.final-episodes-per-pair", "8",
-    "--rating.milestones", "1s", "--steps", "1500", "--budget.rating_time", "5m",  # it ends when all have met
-)  # fmt: skip
+SMALL = (*SMALLER, "--steps", "1500", "--budget.rating_time", "5m")  # it ends when all have met
 RACE = f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race"
 SOLO = f"{ROOT / 'tests' / 'arenas' / 'solo.py'}:solo"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("arena", [RACE, "rock-paper-scissors"])
-def test_any_game_of_two_teams_is_trained_and_rated(tmp_path, arena, capsys):
-    done = call("run", "--arena.name", arena, *SMALL, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    with Store.open(tmp_path / "league-data") as store:
+def check_rated(folder, arena, capsys):
+    """Both teams have learnt what their budget allows, and each newest snapshot has met its initial one."""
+    with Store.open(folder / "league-data") as store:
         matches = store.matches("small", "rating")
         assert {c.iteration for c in store.newest_checkpoints("small").values()} == {3}
         assert not store.jobs("small", "failed")
         assert {m.arena.arena for m in matches} == {arena}
         met = {(m.a, m.b) for m in matches}
         assert {("blue@3", "blue@0"), ("red@3", "red@0")} <= met | {(b, a) for a, b in met}
-    assert ratings(["--store", str(tmp_path / "league-data")]) == 0
+    assert ratings(["--store", str(folder / "league-data")]) == 0
     assert "blue@3" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_game_of_ones_own_is_trained_and_rated(tmp_path, capsys):
+    done = call("run", "--arena.name", RACE, *SMALL, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    check_rated(tmp_path, RACE, capsys)
+
+
+@pytest.mark.slow
+def test_a_game_without_bodies_is_trained_and_rated(rated_league, capsys):
+    check_rated(rated_league, "rock-paper-scissors", capsys)
 
 
 @pytest.mark.slow

@@ -1,34 +1,24 @@
-"""The notebooks of the documents do what they say, and carry no outputs."""
+"""The notebooks of the documents do what they say in a kernel, and carry no outputs."""
 
-import base64
 import json
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbclient import NotebookClient
 
 from tests.league.conftest import ROOT
 
 NOTEBOOKS = ROOT / "docs" / "notebooks"
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:matplotlib")
 
 
-def cells(name: str) -> list[str]:
-    """The code of a notebook."""
-    found = json.loads((NOTEBOOKS / f"{name}.ipynb").read_text("utf-8"))["cells"]
-    return ["".join(cell["source"]) for cell in found if cell["cell_type"] == "code"]
-
-
-def execute(name: str) -> dict:
-    """Run the cells of a notebook one after the other; the names that they define."""
-    names: dict = {}
-    for code in cells(name):
-        exec(compile(code, name, "exec"), names)
-    return names
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("notebooks")
+def executed(name: str, folder: Path, then: str) -> str:
+    """Run the cells of a notebook in a kernel, then those lines, which may assert; return what was printed."""
+    notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
+    notebook.cells.append(nbformat.v4.new_code_cell(then))
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(folder)}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    return "".join(output["text"] for output in outputs if output["output_type"] == "stream")
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
@@ -38,41 +28,34 @@ def test_outputs_are_stripped(path: Path):
         assert cell.get("execution_count") is None
 
 
-@pytest.mark.slow
-def test_the_notebook_of_run_and_then_that_of_open(folder, monkeypatch, capsys):
-    import matplotlib
+RAN = """
+assert set(opened.players().steps) == {24_576}
+assert seen == sorted(seen)
+assert seen[-1] >= 8
+"""
+OPENED = """
+assert set(payoff.scores.index) <= set(opened.snapshots().name)
+assert payoff.games.sum().sum() > 0
+assert policy.snapshot.name == "blue@12"
+assert opponents.attrs["kind"] == "latest"
+"""
+WATCHED = """
+import base64, pathlib
 
-    matplotlib.use("agg")
-    monkeypatch.chdir(folder)
-    ran = execute("run")
-    printed = capsys.readouterr().out
+assert f"base64,{base64.b64encode(episode.film().read_bytes()).decode()}" in episode._repr_html_()
+assert episode.film().is_relative_to(pathlib.Path("cache").resolve())
+"""
+
+
+@pytest.mark.slow
+def test_the_notebook_of_run_and_then_that_of_open(tmp_path):
+    printed = executed("run", tmp_path, RAN)
     assert "League scissors: blue (1 × chooser) against red" in printed
     assert "learner.lr = 3.0: must be between 0.0 and 1.0" in printed
-    players = ran["opened"].players()
-    assert set(players.steps) == {24_576}
-    assert ran["seen"] == sorted(ran["seen"])
-    assert ran["seen"][-1] >= 8
-    found = execute("open")
-    assert set(found["payoff"].scores.index) <= set(found["opened"].snapshots().name)
-    assert found["payoff"].games.sum().sum() > 0
-    assert found["policy"].snapshot.name == "blue@12"
-    assert found["opponents"].attrs["kind"] == "latest"
+    executed("open", tmp_path, OPENED)
 
 
 @pytest.mark.slow  # it compiles an arena with bodies
-def test_the_notebook_of_watch_shows_a_film(folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    monkeypatch.setenv("ROBOT_LEAGUE_CACHE", str(folder / "cache"))
-    episode = execute("watch")["episode"]
-    assert " against " in capsys.readouterr().out
-    assert f"base64,{base64.b64encode(episode.film().read_bytes()).decode()}" in episode._repr_html_()
-    assert episode.film().is_relative_to(folder / "cache")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["run", "open", "watch"])
-def test_the_notebooks_run_in_a_kernel(name, folder):
-    nbclient = pytest.importorskip("nbclient")
-    nbformat = pytest.importorskip("nbformat")
-    found = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
-    nbclient.NotebookClient(found, timeout=300, resources={"metadata": {"path": str(folder)}}).execute()
+def test_the_notebook_of_watch_shows_a_film(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROBOT_LEAGUE_CACHE", str(tmp_path / "cache"))
+    assert " against " in executed("watch", tmp_path, WATCHED)

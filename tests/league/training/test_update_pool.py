@@ -21,6 +21,14 @@ from tests.agents.conftest import make_batch
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
 QUICK = ("happo", "ippo", "shared", "desired_kl", "recurrent", "privileged", "paper")
+SLOW = ("hatrpo", "same", "squashed", "bf16", "recurrent, shared")  # the others are made of the same parts
+
+
+def when(variant: str) -> list[pytest.MarkDecorator]:
+    """Return the mark under which a variant is tried."""
+    return [] if variant in QUICK else [pytest.mark.slow if variant in SLOW else pytest.mark.gpu]
+
+
 WAIT = 120.0  # s for a process that imports torch, on a busy machine
 
 
@@ -61,9 +69,7 @@ def lasting() -> Iterator[UpdateWorker]:
     assert found.ready  # it has served all of them
 
 
-@pytest.mark.parametrize(
-    "variant", [pytest.param(v, id=k, marks=[] if k in QUICK else [pytest.mark.slow]) for k, v in EVERY_UPDATE.items()]
-)
+@pytest.mark.parametrize("variant", [pytest.param(v, id=k, marks=when(k)) for k, v in EVERY_UPDATE.items()])
 def test_an_assistant_s_update_is_this_process_s_to_the_last_byte(variant, lasting):
     mine, theirs = (learners(1, **variant)[0] for _ in range(2))
     before = mine.save()

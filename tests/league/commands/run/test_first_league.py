@@ -13,6 +13,7 @@ COMMANDS = [shlex.split(line, comments=True)[1:] for block in BLOCKS for line in
 SERVES = {"dash", "watch", "doctor"}  # a window, a page, and what this machine lacks: tests of their own
 LEARNS = {"run"}
 MATCHES = {"payoff", "forgetting", "play", "gate", "exploit"}  # that need some, or play them
+SCRIPTS = {"pusher": "rock"}  # opponents of the page's arena, and those of an arena without bodies
 SHORTER = {"play": ("--episodes", "16"), "exploit": ("--budget", "8192", "--episodes", "16"), "gate": ("--most", "64")}
 
 
@@ -37,12 +38,12 @@ def test_what_only_reads_and_writes_files(copied_league, tmp_path, monkeypatch, 
 
 
 @pytest.mark.slow
-def test_what_needs_matches_or_plays_them(tiny_league, tmp_path, monkeypatch, capsys):
+def test_what_needs_matches_or_plays_them(rated_league, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")  # the commands set it for their own processes
-    shutil.copytree(tiny_league[0], tmp_path, dirs_exist_ok=True)
+    shutil.copytree(rated_league, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     played = [command for command in COMMANDS if command[0] in MATCHES]
     assert {command[0] for command in played} == MATCHES
     for command in played:
         kept = command[: command.index("--for")] if "--for" in command else command
-        shown(capsys, [*kept, *SHORTER.get(command[0], ())])
+        shown(capsys, [*(SCRIPTS.get(word, word) for word in kept), *SHORTER.get(command[0], ())])
