@@ -238,12 +238,13 @@ class Game(ABC):
     @final
     def describe_design(self, actions: Mapping[str, np.ndarray]) -> str:
         """Say what the agents' first actions (act,) set, for recordings; empty if no agent sets anything."""
-        return "; ".join(
-            f"{agent} sets {', '.join(f'{name} {x:.3g}' for name, x in zip(robot.sets, found, strict=True))}"
-            for agent, robot in self.robots.items()
-            if robot.sets
-            for found in [np.asarray(robot.designed(jnp.asarray(actions[agent])))]
-        )
+        said = []
+        for agent, robot in self.robots.items():
+            if robot.sets:
+                found = robot.name_designed(np.asarray(robot.designed(jnp.asarray(actions[agent]))))
+                texts = (f"{name} {x if isinstance(x, str) else format(x, '.3g')}" for name, x in found.items())
+                said.append(f"{agent} sets {', '.join(texts)}")
+        return "; ".join(said)
 
     @cached_property
     def privileged_size(self) -> int:

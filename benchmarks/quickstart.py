@@ -24,7 +24,7 @@ import jax
 from league.config import experiment as configuration
 from league.config import presets
 from league.matches.evaluator import MatchEvaluator
-from league.scheduling.progress_metrics import newest_snapshots, reference_opponents
+from league.scheduling.progress_metrics import reference_opponents
 from league.state.jobs import RatingMatch
 from league.state.league_state import LeagueState
 from matchmaking.ratings.ladder import Ladder
@@ -83,7 +83,7 @@ def one_seed(seed: int, where: Path, flags: list[str]) -> dict:
                     "against_seconds": round(o.seconds, 1),
                     **score(state.ladder, s, o),
                 }
-                for s in newest_snapshots(state)
+                for s in state.newest_snapshots
                 for o in reference_opponents(config, state, s)
                 if state.ladder.score(s.name, o.name).games
             ],

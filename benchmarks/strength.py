@@ -60,7 +60,7 @@ class Row(NamedTuple):
 
 
 ROWS = {
-    "rovers": Row(("--arena.name", "sumo-2v2"), dict.fromkeys(("blue", "red"), Bar("pusher", 0.75))),
+    "rovers": Row(("--preset", "rovers"), dict.fromkeys(("blue", "red"), Bar("pusher", 0.75))),
     "walk": Row(("--preset", "walk"), {"blue": Bar("", 0.9)}),
     "by-team": Row(("--preset", "sumo-by-team"), {"blue": Bar("leatherbacks-sumo", 0.86)}),
     "soccer": Row(("--preset", "soccer-2v2-skills"), {"blue": Bar("red@0", 0.75), "red": Bar("blue@0", 0.75)}),

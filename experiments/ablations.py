@@ -35,7 +35,6 @@ import league
 from experiments.episodes import bare, rate, score
 from league.config import experiment as configuration
 from league.runtime.bootstrap import create
-from league.scheduling.progress_metrics import newest_snapshots
 from league.snapshots import policy_file
 from league.state.league_state import LeagueState
 from scripts.record import make_parser, run_info, split_arguments, spread, write
@@ -199,7 +198,7 @@ def exploited(args: argparse.Namespace, variant: str, seed: int) -> list[dict]:
     """Return the results of attackers against a league's newest snapshots; trained attackers are used again."""
     where = place(args, variant, seed)
     with Store.open(where) as store:
-        victims = [s.name for s in newest_snapshots(LeagueState.of(store, variant))]
+        victims = [s.name for s in LeagueState.of(store, variant).newest_snapshots]
     found = []
     for victim in victims:
         command = [
@@ -226,7 +225,7 @@ def learning(args: argparse.Namespace, ablation: Ablation, variant: str) -> dict
                 "seconds": {name: round(points[-1].seconds, 1) for name, points in players.items()},
                 "reached": {name: list(firsts(points, ablation.reached)) for name, points in players.items()},
                 "last": {name: means(points) for name, points in players.items()},
-                "norms": {s.name: n for s in newest_snapshots(state) if (n := norms(store, s))},
+                "norms": {s.name: n for s in state.newest_snapshots if (n := norms(store, s))},
                 "run": bare(store.runs(variant)[0].config),
             })  # fmt: skip
         if args.exploit:
@@ -297,7 +296,7 @@ def brought(folder: Path, source: Path, variant: str, seed: int) -> dict[str, tu
     """Import a league's newest snapshots into the common store; return name there -> (variant, seed, roster)."""
     found = {}
     with league.open(source) as of, league.open(folder) as into:
-        for snapshot in newest_snapshots(LeagueState.of(of.store, variant)):
+        for snapshot in LeagueState.of(of.store, variant).newest_snapshots:
             name = f"{variant}-{seed}-{snapshot.player}"
             if name not in {s.name for s in into.store.snapshots("crossed")}:
                 policy_file.bring_in(into, policy_file.export(of, snapshot.name), name)

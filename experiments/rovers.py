@@ -23,7 +23,6 @@ from experiments.episodes import bare, rate, score
 from league.config import experiment as configuration
 from league.config.durations import seconds
 from league.matches.evaluator import MatchEvaluator
-from league.scheduling.progress_metrics import newest_snapshots
 from league.state.jobs import RatingMatch
 from league.state.league_state import LeagueState
 from scripts.record import make_parser, run_info, write
@@ -88,7 +87,7 @@ def measure(where: Path, episodes: int) -> dict:
         anchors = [scripts[name] for name in ("pusher", "centre-holder")]
         pairs = [(s, o) for p in state.players for s in state.history(p.name) for o in anchors]
         pairs += [(s, state.history(p.name)[0]) for p in state.players for s in state.history(p.name)[1:]]
-        newest = newest_snapshots(state)
+        newest = state.newest_snapshots
         pairs += [(s, o) for s in newest for o in state.history(str(s.player))[1:-1]]
         pairs += [(s, scripts[name]) for s in newest for name in ("idle", "random")]
         pairs += [(s, o) for s, o in pairs if s in newest and o in (*anchors, *state.history(str(s.player)))]
@@ -129,7 +128,7 @@ def record(where: Path, folder: Path) -> None:
         config = replace(config, rating=replace(config.rating, worlds=16, pairings=8, record=True))
         state = LeagueState.of(store, LEAGUE)
         scripts = [s for s in state.snapshots if s.script in ("pusher", "centre-holder")]
-        pairs = tuple((s.name, o.name) for s in newest_snapshots(state) for o in scripts)
+        pairs = tuple((s.name, o.name) for s in state.newest_snapshots for o in scripts)
         evaluator = MatchEvaluator(config, config.arena.build(engine=config.engine, worlds=16), LEAGUE)
         for i, match in enumerate(evaluator.play(store, RatingMatch(pairs, 1))):
             assert match.recording is not None

@@ -1,4 +1,4 @@
-"""The interface of a learner to a league: a class with five methods. `HappoLearner` is one.
+"""The interface of a learner to a league: a class with five methods. `HappoLearner` and `SacLearner` are such classes.
 
 A league makes one learner for each player, and calls it in this order: `act` before each rollout, `learn` after it, and
 `save` and `export` where a turn ends. `load` continues from what `save` gave, in the same process or another one.
@@ -26,6 +26,10 @@ class Learner(Protocol):
     and the torch device on which batches lie. It may raise ValueError for settings that it refuses. Everything random
     in it has to follow from the seed and to be part of `save`, or a league that was killed ends otherwise than one that
     was not.
+
+    Two more methods are called where a class has them: `reseed(seed)` gives it other random numbers after a setback,
+    and `meet(opponents)` tells it before the rollouts of a turn against whom they are, by a text for each of the equal
+    groups of worlds. Equal texts are equal policies, but for opponents that learn at the same time.
     """
 
     def act(self) -> Sequence[Policy | Actor]:

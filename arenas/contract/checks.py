@@ -12,6 +12,8 @@ from arenas.arena import Arena
 from arenas.contract import entity_check, exchange_check
 from arenas.contract.check_run import CLOSE, RECORDED, WORLDS, CheckRun, arrays_of, difference
 from arenas.errors import ArenaError
+from arenas.robots.robot import is_choice
+from arenas.state import State
 
 Problem = Callable[[CheckRun], str]
 CHECKS: dict[str, Problem] = {}
@@ -203,6 +205,32 @@ def _voided(run: CheckRun, after: Any, broken: np.ndarray, what: str) -> str:
 
 
 CHECKS["entities are sets: their order means nothing to scripts"] = entity_check.problem
+
+
+@check("a first decision sets what its agent declares, and later ones nothing")
+def _designs(run: CheckRun) -> str:
+    still = {agent.name: jnp.zeros((WORLDS, agent.action_size)) for agent in run.arena.agents}
+    for agent, robot in run.arena.robots.items():
+        if robot.sets and len(robot.sets) != robot.action_size:
+            return f"{agent} sets {len(robot.sets)} things, with {robot.action_size} numbers of an action"
+        for i, (name, bounds) in enumerate(robot.sets.items()):
+            if is_choice(bounds):
+                if len(set(bounds)) < max(2, len(bounds)):
+                    return f"{agent} chooses {name} among {', '.join(map(str, bounds))}: it needs two names or more"
+            elif not -np.inf < float(bounds[0]) <= float(bounds[1]) < np.inf:
+                return f"{agent} sets {name} from {bounds[0]} to {bounds[1]}"
+            ends = [{**still, agent: still[agent].at[:, i].set(end)} for end in (-1.0, 1.0)]
+            low, high = (run.act(run.first, actions) for actions in ends)
+            if bounds[0] != bounds[1] and not difference(_physics_of(low), _physics_of(high), 0.0):
+                return f"{agent} sets {name}, and the world is the same with {bounds[0]} and {bounds[-1]}"
+            later = run.act(low, ends[1]).physics.model
+            if changed := difference(low.physics.model, later, 0.0):
+                return f"{agent} sets {name} also in its second decision: {changed}"
+    return ""
+
+
+def _physics_of(state: State) -> dict[str, np.ndarray]:
+    return {name: values for name, values in arrays_of(state).items() if name.startswith("physics")}
 
 
 @check("scripts return finite actions of the right size")

@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 
 from arenas.description import Part
-from arenas.robots.robot import Push, Robot, Script, idle_script, random_script
+from arenas.robots.robot import Bounds, Push, Robot, Script, idle_script, is_choice, random_script
 
 AXES = "xyz"
 
@@ -39,8 +39,8 @@ def disturbance(bodies: Sequence[str], newtons: float, axes: str = AXES, scripts
     )
 
 
-def designer(bounds: Mapping[str, tuple[float, float]], scripts: Mapping[str, Script] = {}) -> Robot:
-    """Make an agent whose first action sets numbers of the world, each within its bounds (`Robot.designed`)."""
+def designer(bounds: Mapping[str, Bounds], scripts: Mapping[str, Script] = {}) -> Robot:
+    """Make an agent whose first action sets the world: numbers within bounds, and choices (`Robot.designed`)."""
     size = len(bounds)
     return Robot(
         kind="designer",
@@ -48,8 +48,15 @@ def designer(bounds: Mapping[str, tuple[float, float]], scripts: Mapping[str, Sc
         sets=dict(bounds),
         scripts={"idle": idle_script(size), "random": random_script(size), **scripts},
         action_parts=tuple(
-            Part(name, 1, "", f"in the first decision: -1 sets {low:g}, 1 sets {high:g}, clipped to ±1")
-            for name, (low, high) in bounds.items()
+            Part(name, 1, "", f"in the first decision: {_describe(each)}, clipped to ±1")
+            for name, each in bounds.items()
         ),
         identity=f"sets {dict(bounds)!r}",
     )
+
+
+def _describe(bounds: Bounds) -> str:
+    """Say what an action from -1 to 1 sets."""
+    if is_choice(bounds):
+        return f"{', '.join(map(str, bounds))} in equal parts from -1 to 1"
+    return f"-1 sets {bounds[0]:g}, 1 sets {bounds[1]:g}"

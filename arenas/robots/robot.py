@@ -1,6 +1,6 @@
 """Robots as values: all properties of a robot, so that a game need not know its kind."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,6 +25,7 @@ Script = Callable[[Array, Array], Array]  # (observation (obs,), key) -> action 
 # A robot's actuation law: (joint angles (joints,), joint speeds (joints,), command (actuators,)) -> ctrl (actuators,).
 # The C engine applies a law without JAX if the law also accepts NumPy arrays of many worlds (worlds, joints), ...
 JointLaw = Callable[[Any, Any, Any], Any]
+Bounds = tuple[float, float] | tuple[str, ...]  # the lowest and the highest of a number, or the names of a choice
 
 
 class Body(NamedTuple):
@@ -42,6 +43,11 @@ class Push(NamedTuple):
 
     bodies: tuple[str, ...]  # as the scene names them, such as blue/0/torso
     wrench: Callable[[Array], Array]  # action (action_size,) -> (bodies, 6) N in the world, then N·m
+
+
+def is_choice(bounds: Bounds) -> bool:
+    """Return whether something to be set is one of several names, and no number."""
+    return isinstance(bounds[0], str)
 
 
 def identity_command(action: Array) -> Array:
@@ -88,7 +94,7 @@ class Robot:
     command: Callable[[Array], Array] = identity_command  # action (action_size,) -> command (actuators,)
     law: JointLaw | None = None  # applied before every physics substep; None is the identity
     push: Push | None = None  # its forces on bodies, held for a decision; None: it pushes nothing from outside
-    sets: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that its first action sets: bounds
+    sets: Mapping[str, Bounds] = field(default_factory=dict)  # what its first action sets
     proprioception: Callable[[Body], Array] | None = None  # sensing of itself, (n,)
     fallen: Callable[[Array], Array] = never_falls  # base pose (7,) -> () bool
     scripts: Mapping[str, Script] = field(default_factory=dict)  # scripts that need no game: idle, random, ...
@@ -124,9 +130,20 @@ class Robot:
         return self.proprioception_parts or nameless
 
     def designed(self, action: Array) -> Array:
-        """Return the numbers (sets,) that an action (..., sets) sets: -1 the lowest, 1 the highest, clipped beyond."""
-        low, high = np.array(list(self.sets.values()), np.float32).reshape(-1, 2).T
-        return jnp.asarray(low) + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        """Return the numbers (sets,) that an action (..., sets) sets: -1 the lowest, 1 the highest, clipped beyond.
+
+        Of a choice it is the place of a name, from 0; each has an equal part of -1 to 1.
+        """
+        choice = np.array([is_choice(each) for each in self.sets.values()], bool)
+        bounds = [(0, len(each)) if is_choice(each) else each for each in self.sets.values()]
+        low, high = np.array(bounds, np.float32).reshape(-1, 2).T
+        found = jnp.asarray(low) + (jnp.clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        return jnp.where(choice, jnp.clip(jnp.floor(found), 0.0, high - 1.0), found)
+
+    def name_designed(self, numbers: Sequence[float] | np.ndarray) -> dict[str, float | str]:
+        """Return what `designed` numbers (sets,) mean, by name: a number, or the name that was chosen."""
+        pairs = zip(self.sets.items(), numbers, strict=True)
+        return {name: each[int(x)] if is_choice(each) else float(x) for (name, each), x in pairs}
 
     def observe_self(self, body: Body) -> Array:
         """Return its proprioception (proprioception_size,); (0,) if it has none."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from dashboards.text import clock, wrapped
 from league.config.experiment import Config
-from league.scheduling.progress_metrics import newest_snapshots, score_against_initial
+from league.scheduling.progress_metrics import score_against_initial
 from league.state.league_state import LeagueState
 from league.state.liveness import is_dead
 from league.state.void_rates import warnings as void_warnings
@@ -125,7 +125,7 @@ def _against_initial(state: LeagueState) -> str:
     """
     found = {player.name: _last_scored(state, player.name) for player in state.players}
     scored = {snapshot.name: score for snapshot, score in filter(None, found.values())}
-    newest = [s for s in newest_snapshots(state) if not s.initial]
+    newest = [s for s in state.newest_snapshots if not s.initial]
     waiting = [s.name for s in newest if s.name not in scored]
     what = "success" if state.one_team else "vs initial"
     if not scored:
@@ -148,7 +148,7 @@ def _per_cent(score: Score) -> str:
 
 def _unknown(state: LeagueState) -> str:
     """Return the message that no snapshot has a score against initial yet."""
-    newest = [s.name for s in newest_snapshots(state) if not s.initial]
+    newest = [s.name for s in state.newest_snapshots if not s.initial]
     whose = f"{' and '.join(newest)}: " if 0 < len(newest) <= 2 else ""
     return f"{whose}{'success' if state.one_team else 'score vs initial'} not known yet"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import arenas
-from agents.settings import HAPPO, HappoConfig
+from agents.settings import HAPPO, READ_BY_SAC, SAC, HappoConfig
 from arenas.arena_settings import EngineName
 from arenas.contract.error_location import describe_error, source_files
 from arenas.errors import ArenaError
@@ -29,6 +29,7 @@ from league.config.sections import (
     Storage,
     Training,
     Workers,
+    check_forerunner,
     check_name,
     named_players,
 )
@@ -77,9 +78,9 @@ class Config:
     """Processes on this machine."""
     storage: Storage = field(default_factory=Storage)
     """Limits and places of what the store keeps."""
-    after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_name, names)]})
-    """Leagues of this store, or policies that come with the league, from which the players here start; the nearest
-    first."""
+    after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_forerunner, names)]})
+    """Leagues of this store, snapshots of them (main/blue@49), or policies that come with the league, from which the
+    players here start; the nearest first."""
     stages: tuple[parts.Stage, ...] = field(default=(), metadata={"apart": True})
     """A curriculum: tables [[stages]] with what differs from the settings above, walked in their order."""
 
@@ -90,6 +91,9 @@ class Config:
         if self.deterministic:
             self._check_deterministic()
         rating, training = self.rating, self.training
+        rules = [self.role(name).opponents for name in {p.role for p in self.players} | {MAIN.name}]
+        if not self.workers.match and any(rule is not None and rule.await_matches for rule in rules):
+            raise ValueError("training.opponents.await_matches: nobody plays the matches; give workers.match 1 or more")
         if rating.share == 0.0 and self.budget.by_rating:
             names = [n for n in ("success", "score", "plateau") if getattr(self.budget, n) is not None]
             why = f"where budget.{names[0]} is set, which is rated while training"
@@ -164,6 +168,16 @@ class Config:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")
         if self.budget.training_time is not None:
             raise ValueError('budget.training_time: time runs differently every time; deterministic wants "none" here')
+        if SAC in self.learner_classes and not self.learner.sac.replay.saved:
+            raise ValueError(
+                f"deterministic: {SAC} resumes to the same bytes only with its replay buffer in checkpoints; give"
+                " learner.sac.replay.saved = true"
+            )
+
+    @property
+    def learner_classes(self) -> set[str]:
+        """The classes of learners by which players learn."""
+        return {player.class_ or self.learner.class_ for player in self.players} or {self.learner.class_}
 
     def _check_players(self) -> None:
         """Check that names are unique, and that a group has at most one player per team; raises ValueError."""
@@ -255,15 +269,17 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
 
 def _check_learner_flags(config: Config, given: flags.Given) -> None:
     """Raise ConfigError for a flag of HAPPO where no player learns by it. A file may have such keys: presets do."""
-    classes = {player.class_ or config.learner.class_ for player in config.players} or {config.learner.class_}
+    classes = config.learner_classes
     if HAPPO in classes:
         return
+    read = {"class", "settings", "skill", "critic_input", *(READ_BY_SAC if SAC in classes else ())}
+    section = "sac" if SAC in classes else "settings"
     for key in given:
-        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
+        if key[0] == "learner" and key[1] not in read:
             raise ConfigError(
                 key,
                 f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"
-                f" give its own as --learner.settings.{key[-1]}",
+                f" give its own as --learner.{section}.{key[-1]}",
             )
 
 

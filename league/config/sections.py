@@ -46,6 +46,14 @@ def check_name(value: str) -> None:
         raise ValueError("a name is made of letters, digits and . _ + -, and not . or .. alone")
 
 
+def check_forerunner(value: str) -> None:
+    """Raise ValueError unless a text can name a league or a frozen policy, or a snapshot of a league after a slash."""
+    league, slash, snapshot = value.partition("/")
+    check_name(league)
+    if slash and not (league and re.fullmatch(r"[\w.+@:-]+", snapshot)):
+        raise ValueError("a snapshot is named by its league, a slash and its own name: main/blue@49")
+
+
 @dataclass(frozen=True)
 class PlayerSettings:
     """A player: a learning lineage of policies for one team."""
@@ -275,6 +283,11 @@ class Storage:
     """Policies that a process which plays matches keeps in memory."""
     worker_retention: str = field(default="1d", metadata={"valid": _lasts, "formerly": "workers"})
     """Time for which the store remembers a process that has stopped reporting."""
+
+    @property
+    def worker_retention_seconds(self) -> float:
+        """That time in seconds."""
+        return seconds(self.worker_retention)
 
 
 def named_players(players: tuple[PlayerSettings, ...]) -> tuple[PlayerSettings, ...]:

@@ -1,11 +1,13 @@
 """A frozen policy on a grid of worlds that nobody trained on: every corner of what a designer may set, and between.
 
 The designer of the arena (`Robot.sets`) is played by the grid: each of its numbers takes equally spaced values from
-its lowest to its highest. RRLS (2406.08406) measures the mean and the worst cell of such a grid, ten values for each
-number; here also the worst tenth of the cells. Other agents of the other team do nothing.
+its lowest to its highest, and each of its choices all of its names. RRLS (2406.08406) measures the mean and the worst
+cell of such a grid, ten values for each number; here also the worst tenth of the cells. Other agents of the other team
+do nothing.
 """
 
 import itertools
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +19,7 @@ from arenas import rosters
 from arenas.arena import Arena
 from arenas.contract.environments.opponent import Opponent, scripted
 from arenas.errors import ArenaError
+from arenas.robots.robot import Bounds, is_choice
 from arenas.state import State, TeamSpec
 from league.snapshots.codec import thaw
 from league.snapshots.frozen_opponent import seated
@@ -27,8 +30,9 @@ from storage.store import Store
 class Grid(NamedTuple):
     """Results by cell; the last axis of the designer's numbers changes fastest."""
 
-    names: tuple[str, ...]  # of the designer's numbers
-    values: np.ndarray  # (cells, numbers)
+    names: tuple[str, ...]  # of what the designer sets
+    values: np.ndarray  # (cells, names), of a choice the place of a name
+    labels: tuple[dict[str, float | str], ...]  # (cells,) the same by name, of a choice the name
     scores: np.ndarray  # (cells,) mean score, 1 for a win; episodes whose physics failed are left out
     returns: np.ndarray  # (cells,) mean sum of the team's reward over an episode
     voids: int  # episodes whose physics failed
@@ -40,13 +44,16 @@ class Worst(NamedTuple):
     mean: float
     tenth: float  # mean of the worst tenth of the cells, at least one
     least: float
-    where: np.ndarray  # (numbers,) of the worst cell
+    where: Any  # the worst cell
 
 
-def grid_points(bounds: dict[str, tuple[float, float]], points: int) -> np.ndarray:
-    """Return the cells' actions (points^numbers, numbers), each number from -1 to 1; one point is the middle."""
+def grid_points(sets: Mapping[str, Bounds], points: int) -> np.ndarray:
+    """Return the cells' actions (cells, sets): each number from -1 to 1 in so many points, one in the middle; each
+    choice in the middle of the part of every name.
+    """
     axis = np.linspace(-1.0, 1.0, points) if points > 1 else np.zeros(1)
-    return np.array(list(itertools.product(axis, repeat=len(bounds))), np.float32)
+    axes = [(2 * np.arange(len(each)) + 1) / len(each) - 1 if is_choice(each) else axis for each in sets.values()]
+    return np.array(list(itertools.product(*axes)), np.float32)
 
 
 def designer_of(arena: Arena) -> str:
@@ -63,7 +70,7 @@ def designer_of(arena: Arena) -> str:
 def play_grid(arena: Arena, store: Store, snapshot: Snapshot, points: int, episodes: int, seed: int) -> Grid:
     """Play `episodes` in each cell, the same seeds in all cells; the policy plays the first team that it fits.
 
-    The arena must be built for points^numbers × episodes worlds. Raises ArenaError, one line, if it cannot be played.
+    The arena must be built for cells × episodes worlds. Raises ArenaError, one line, if it cannot be played.
     """
     author = designer_of(arena)
     robot = arena.robots[author]
@@ -74,7 +81,7 @@ def play_grid(arena: Arena, store: Store, snapshot: Snapshot, points: int, episo
             f"{snapshot.name} is a policy of {snapshot.roster}, and arena {arena.name} has a designer against"
             f" {', '.join(team.roster for team in teams) or 'nobody'}"
         )
-    cells = grid_points(dict(robot.sets), points)
+    cells = grid_points(robot.sets, points)
     player = scripted(arena, team, snapshot.script) if snapshot.script else None
     player = player or seated(team, thaw(store, snapshot, arena))
     score, total, void = _played(arena, player, team, author, np.repeat(cells, episodes, axis=0), episodes, seed)
@@ -82,7 +89,8 @@ def play_grid(arena: Arena, store: Store, snapshot: Snapshot, points: int, episo
     sums = [np.where(valid, each.reshape(-1, episodes), 0.0).sum(axis=1) for each in (score, total)]
     counts = np.where(valid.any(axis=1), valid.sum(axis=1), np.nan)
     values = np.asarray(robot.designed(jnp.asarray(cells)))
-    return Grid(tuple(robot.sets), values, sums[0] / counts, sums[1] / counts, int(void.sum()))
+    labels = tuple(map(robot.name_designed, values))
+    return Grid(tuple(robot.sets), values, labels, sums[0] / counts, sums[1] / counts, int(void.sum()))
 
 
 def _played(
@@ -113,8 +121,11 @@ def _played(
     return score, total, void
 
 
-def summarise(values: np.ndarray, cells: np.ndarray) -> Worst:
-    """Return mean, worst tenth and worst of the cells' values (cells,), without cells that have none."""
+def summarise(values: np.ndarray, cells: Sequence[Any]) -> Worst:
+    """Return mean, worst tenth and worst of the cells' values (cells,), without cells that have none.
+
+    `cells` say what each cell is: its `values` or its `labels`.
+    """
     known = np.flatnonzero(~np.isnan(values))
     if not len(known):
         return Worst(np.nan, np.nan, np.nan, cells[0])

@@ -13,8 +13,7 @@ from typing import NamedTuple
 from league.config.experiment import Config
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
-from league.scheduling.lineups import Lineup, complete
-from league.scheduling.match_scheduler import rating_job
+from league.scheduling.match_scheduler import Lineup, complete, rating_job
 from league.scheduling.progress_metrics import can_meet
 from league.state.jobs import RatingMatch, decode
 from league.state.league_state import LeagueState

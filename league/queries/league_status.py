@@ -8,7 +8,7 @@ from pathlib import Path
 from dashboards.text import clock
 from league.config.sections import Budget
 from league.queries.league_settings import LeagueSettings
-from league.queries.player_copies import copying, read_hyperparameters
+from league.queries.player_copies import describe_copies
 from league.queries.query import Open, score_text
 from league.scheduling.player_resets import Generation, current_generation
 from league.state.curriculum_stage import course
@@ -66,17 +66,18 @@ def gather_status(opened: Open, whole_errors: bool = False, state: LeagueState |
     manager, alive = leader(store, league), processes(store, league)
     workers = [worker for worker in alive if worker.kinds != "manager"]
     runs, counts = _runs(manager, len(workers)), store.job_counts(league)
-    groups, trained = state.learning_groups(settings.schedule()), state.trained(settings.schedule())
-    moved = read_hyperparameters(store, settings, state)
+    groups = state.learning_groups(settings.schedule())
     failed = [job for job in state.jobs if job.failures]
+    population = [f"{name}: {text}" for name, text in describe_copies(store, settings, state).items()]
+    generations = _generations(_roles(settings, state), state)
     return LeagueStatus(
         league, runs, {name: counts.get(name, 0) for name in STATES},
         [_player(player, state, bool(runs)) for player in state.players],
-        _rating_share(store, league, settings.rating_share, trained),
+        _rating_share(store, league, settings.rating_share, sum(group.seconds for group in groups)),
         _stages(store, league),
-        _generations(_roles(settings, state), state),
+        generations,
         [_phase(p, state) for p in state.phases.values() if p.learners],
-        [f"{name}: {copying(settings.copies_after, state, name, own)}" for name, own in moved.items()],
+        population,
         [f"{p.name}: {_error(p.paused, whole_errors)}" for p in state.players if p.paused is not None],
         [_failed_job(job, whole_errors) for job in failed if job.state != "failed"],
         [_failed_job(job, whole_errors) for job in failed if job.state == "failed"],

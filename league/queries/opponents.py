@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dashboards.tables import Column
-from league.queries.player_copies import copying, read_hyperparameters
+from league.queries.player_copies import describe_copies
 from league.queries.query import Open
 from league.scheduling.opponent_sampling import WIN_RATE, OpponentDistribution, opponent_distribution, records
 from league.state.league_state import LeagueState
@@ -29,8 +29,7 @@ def explained(opened: Open, name: str) -> dict[str, Any]:
     if player is None:
         raise UnknownName("player", name, [p.name for p in state.players])
     settings = opened.settings()
-    moved = read_hyperparameters(opened.store, settings, state).get(name)
-    copies = None if moved is None else copying(settings.copies_after, state, name, moved)
+    copies = describe_copies(opened.store, settings, state).get(name)
     role, seed = settings.roles()(player.role), settings.get("seed", otherwise=1)
     return explain_opponents(role, state, player, seed) | {"population": copies}
 

@@ -4,7 +4,6 @@ It holds no state of its own. A stop may be a kill and a start is a recovery: wo
 yet. Of several managers of one league one leads, by a lease like that of a job. Loads neither torch, jax nor mujoco.
 """
 
-import math
 import multiprocessing
 import os
 import signal
@@ -17,16 +16,15 @@ from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from typing import Literal
 
-from league.config.durations import seconds
 from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.runtime.heartbeat import BEAT
 from league.runtime.warm_worker import WarmWorker
 from league.runtime.worker_process import WorkerSpec, work
-from league.scheduling import match_scheduler, training_progress, turn_scheduler
+from league.scheduling.planner import BEFORE_RATING, plan
 from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.league_state import LeagueState
-from league.state.liveness import is_dead, place
+from league.state.liveness import process_named
 from league.system import exit_codes
 from storage.errors import Unavailable
 from storage.records import Lease, Worker
@@ -36,7 +34,6 @@ TICK = 0.2  # seconds between two reads of the store
 LEASE = 15.0  # seconds for which a manager leads without renewing its lease
 SILENT = 3 * BEAT  # seconds without a heartbeat after which a process that cannot be found counts as dead
 GRACE = 60.0  # seconds in which a worker has to finish its iteration
-FIRST_MATCH = 600.0  # seconds after the time for rating in which a league's first match is waited for
 MAX_RESTARTS = 5  # in a row, each within RESTART_WINDOW: then a restart does not solve the problem
 RESTART_WINDOW = 30.0
 REST = 300.0  # seconds until an unfit worker, which could not do jobs that others can do, is started again
@@ -89,7 +86,7 @@ class Manager:
             for number in range(count)
         ]
         self._standby = warm_worker
-        self._rating_until = math.inf  # on the monotonic clock; infinite before training is over
+        self._rating_time = BEFORE_RATING
         self._league_state: LeagueState | None = None
         self._seen = -1  # the store's revision that the plan has seen
 
@@ -104,7 +101,7 @@ class Manager:
         reported = 0.0
         try:
             started = self.store.now()
-            self.store.remove_silent_workers(self.config.league, seconds(self.config.storage.worker_retention))
+            self.store.remove_silent_workers(self.config.league, self.config.storage.worker_retention_seconds)
             self._requeue_failed()
             self._release_orphans()
             while True:
@@ -153,49 +150,17 @@ class Manager:
             self._league_state = LeagueState.of(self.store, self.config.league, self._league_state, recent=recent)
             planned = self._plan(self._league_state)
             self.state, self._seen = "stopped" if asked else planned, revision
-        elif self._late():
+        elif self._rating_time.over():
             assert self._league_state is not None
             self.state = self._plan(self._league_state)
 
     def _plan(self, state: LeagueState) -> RunState:
         """Queue the next jobs and return the state of the run."""
-        progress = training_progress.measure(self.config, state)
-        turns = turn_scheduler.next_turns(self.config, state, progress)
-        training = bool(turns.jobs) or bool(progress.open)
-        if training:
-            self._rating_until = math.inf
-        elif self._rating_until == math.inf:
-            phase = match_scheduler.rating_phase(self.config, state)
-            self.store.queue((), [phase])
-            left = phase.until["seconds"]
-            self._rating_until = sys.float_info.max if left is None else time.monotonic() + left
-        late = self._late() and not self._awaits_first_match(state)
-        wanted = (
-            match_scheduler.next_matches(self.config, state, progress)
-            if self.config.workers.match and not late
-            else turn_scheduler.Plan()
-        )
-        if turns.jobs or wanted.jobs:
-            self.store.queue([*turns.jobs, *wanted.jobs], turns.phases)
-        if training:
-            return "training"
-        if late:
-            self.store.queue((), [match_scheduler.rating_over(self.config, state)])
-        return "rating" if not late and (wanted.jobs or match_scheduler.is_rating(state)) else "done"
-
-    def _late(self) -> bool:
-        """Return whether the time for rating after training is over."""
-        return time.monotonic() > self._rating_until
-
-    def _awaits_first_match(self, state: LeagueState) -> bool:
-        """Return whether the league's first rating match is queued or played, for FIRST_MATCH more at most: on a slow
-        machine compiling alone may outlast the time for rating, and then there would be neither rating nor recording.
-        """
-        plays = self.config.budget.rate_seconds > 0 and self.config.workers.match > 0
-        return (
-            plays and not state.played and match_scheduler.is_rating(state)
-            and time.monotonic() < self._rating_until + FIRST_MATCH
-        )  # fmt: skip
+        planned = plan(self.config, state, self._rating_time)
+        if planned.jobs or planned.phases:
+            self.store.queue(planned.jobs, planned.phases)
+        self._rating_time = planned.rating_time  # only now: its phase is in the store
+        return planned.activity
 
     # Processes -------------------------------------------------------------------------------------------------------
 
@@ -263,7 +228,7 @@ class Manager:
         """
         beating = {worker.id for worker in self.store.workers(self.config.league, SILENT)}
         for job in self.store.jobs(self.config.league, "leased"):
-            if job.holder is not None and job.holder not in beating and is_dead(job.holder):
+            if job.holder is not None and job.holder not in beating and process_named(job.holder).dead:
                 self.store.release(Lease(job.id, job.holder, job.attempt))
 
     def _requeue_failed(self) -> None:
@@ -282,14 +247,14 @@ class Manager:
         if self.store.acquire_leadership(league, self.id, LEASE):
             return
         leader = self.store.leader(league)
-        if leader is not None and is_dead(leader[0]):
+        process = process_named(leader[0] if leader else "another:process:")
+        if leader is not None and process.dead:
             self.store.release_leadership(league, leader[0])
             if self.store.acquire_leadership(league, self.id, LEASE):
                 return
-        host, pid = place(leader[0] if leader else "another:process:")
         raise ManagerError(
-            f"league {league!r} is running already (process {pid} on {host}): see `league status`, or `league stop`"
-            " first",
+            f"league {league!r} is running already (process {process.pid} on {process.host}): see `league status`, or"
+            " `league stop` first",
             transient=True,
         )
 

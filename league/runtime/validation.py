@@ -6,7 +6,7 @@ Heavy imports are local, because fast commands also import this module.
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from agents.settings import HAPPO
+from agents.settings import HAPPO, SAC
 from arenas.contract.error_location import describe_error, source_files
 from league.config.experiment import Config
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
@@ -255,9 +255,11 @@ def _validate_learner(config: Config, arena: "Arena", number: int, player: Playe
     if config.role(player.role).reset == "main":
         message = f"{player.name}'s role resets it to another player's policy, which only {HAPPO} takes over"
         raise refuse(key, player.class_ or config.learner.class_, message)
-    for name in ("hidden", "lr"):
+    is_sac = (player.class_ or config.learner.class_) == SAC
+    for name in ("lr",) if is_sac else ("hidden", "lr"):
         if getattr(player, name) is not None:
-            message = f"is a setting of {HAPPO}; give {player.name}'s learner its own in settings"
+            own = "it reads learner.sac.lr" if is_sac else f"give {player.name}'s learner its own in settings"
+            message = f"is a setting of {HAPPO}; {own}"
             raise refuse(("players", str(number), name), getattr(player, name), message)
     teams = [team.name for team in arena.teams]
     row = Player(config.league, player.name, teams.index(player.team), player.role, "", player.group)
@@ -265,7 +267,7 @@ def _validate_learner(config: Config, arena: "Arena", number: int, player: Playe
         made = new_learner(config, arena, row)
         assert isinstance(made, OwnLearner)
         made.try_out()
-    except PlayerDiverged as error:
+    except (PlayerDiverged, ValueError) as error:
         raise ConfigError(key, f"{dotted(key)}: {error}") from None
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from league.config import experiment as configuration
 from league.config.experiment import Config
-from league.scheduling.stage_completion import learnt_enough, why
+from league.scheduling.training_progress import learnt_enough, why
 from league.state.curriculum_stage import course
 from league.state.league_state import LeagueState
 from storage.store import Store

@@ -1,33 +1,96 @@
 """Schedule rating matches, from the settings and the league's state alone.
 
-Training has priority on a device that both need (`league/scheduling/rating_budget.py`); after the end of training,
-matches get the whole device. `league/scheduling/turn_scheduler.py` schedules the training turns.
+Training has priority on a device that both need: rating matches take the share `rating.share` of its time, enforced by
+booking batches. Every batch is booked to a second of the league's training. After a batch that took s seconds of a
+device, the next one is due s / share seconds of training later. Matches therefore take that share of training time in
+total, for any duration of a batch. The account consists of two numbers of the match log, the newest booking and the
+seconds of its batches, so it survives a kill and hours of rating after training, when matches get the whole device.
+
+In arenas of three and more teams a pair that is to meet is completed by other snapshots to a lineup, because a ranking
+of n teams counts as a game of every pair in it. With a required pair (`matchmaking.match_design`) the newest snapshots
+of other players take the seats that are left: the pairs of newest snapshots give the lineup of the newest of all
+players, and a newest snapshot and its parent meet among the others' newest. With a pair of the pool those take them
+that have played least.
 """
 
 import math
+import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
-from league.scheduling.lineups import Lineup, complete
-from league.scheduling.progress_metrics import can_meet, newest_snapshots, required_opponents
-from league.scheduling.rating_budget import next_slot
+from league.scheduling.progress_metrics import can_meet, required_opponents
 from league.scheduling.training_progress import TrainingProgress
 from league.scheduling.turn_scheduler import Plan
-from league.state.jobs import RatingMatch, decode, encode
-from league.state.league_state import LeagueState
+from league.state.jobs import RatingMatch, decode, encode, failed_alone
+from league.state.league_state import Batches, LeagueState
 from league.system import batch_sizes
-from matchmaking.match_design import missing_pairs
+from matchmaking.match_design import missing_pairs, others_after
 from matchmaking.match_selection import pairings
-from storage.records import Job, Phase
+from storage.records import Job, Phase, Player, Snapshot
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
 PATIENCE = 120.0  # seconds of training
+FIRST_MATCH = 600.0  # seconds after the time for rating in which a league's first match is waited for
+CREDIT = 60.0  # seconds of training for which unused time for rating is kept; older time is forfeited
+
+Lineup = tuple[str | None, ...]
+"""Names of snapshots, one for each team; in an arena of one team a snapshot and None."""
+
+
+class RatingTime(NamedTuple):
+    """The end of the time for rating that follows training, on the monotonic clock of this process."""
+
+    until: float = math.inf  # infinite before training is over
+
+    @classmethod
+    def of(cls, seconds: float | None) -> "RatingTime":
+        """Return a time that begins now and has so many seconds; None: without an end."""
+        return cls(sys.float_info.max if seconds is None else time.monotonic() + seconds)
+
+    def over(self, extra: float = 0.0) -> bool:
+        """Return whether the time is over, and `extra` seconds with it."""
+        return time.monotonic() > self.until + extra
+
+
+def plan_rating(
+    config: Config,
+    state: LeagueState,
+    progress: TrainingProgress,
+    training: bool,
+    rating_time: RatingTime,
+    awaited: Sequence[tuple[str, str]] = (),
+) -> tuple[Plan, RatingTime, bool]:
+    """Return the next rating jobs with the phase of rating that begins or ends, its time, and whether it goes on.
+
+    `training`: a turn of training is open, queued now, or waits for the `awaited` pairs to meet. The time for rating
+    begins when there is none.
+    """
+    phases = ()
+    if training:
+        rating_time = RatingTime()
+    elif rating_time == RatingTime():
+        phases = (rating_phase(config, state),)
+        rating_time = RatingTime.of(phases[0].until["seconds"])
+    if rating_time.over() and not _awaits_first_match(config, state, rating_time):
+        return Plan((), phases or (rating_over(config, state),)), rating_time, False
+    jobs = next_matches(config, state, progress, awaited).jobs if config.workers.match else ()
+    return Plan(jobs, phases), rating_time, bool(jobs) or is_rating(state)
+
+
+def _awaits_first_match(config: Config, state: LeagueState, rating_time: RatingTime) -> bool:
+    """Return whether the league's first rating match is queued or played, for FIRST_MATCH more at most: on a slow
+    machine compiling alone may outlast the time for rating, and then there would be neither rating nor recording.
+    """
+    plays = config.budget.rate_seconds > 0 and config.workers.match > 0
+    return plays and not state.played and is_rating(state) and not rating_time.over(FIRST_MATCH)
 
 
 def is_rating(state: LeagueState) -> bool:
@@ -65,24 +128,35 @@ def _finite(seconds: float) -> float | None:
     return None if seconds == math.inf else seconds  # JSON has no infinity
 
 
-def next_matches(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
+def rating_goes_on(config: Config, state: LeagueState) -> bool:
+    """Return whether rating after training was interrupted: time remains, and there are matches to play."""
+    if not config.workers.match or rating_phase(config, state).until["seconds"] == 0:
+        return False
+    return is_rating(state) or bool(next_matches(config, state).jobs)
+
+
+def next_matches(
+    config: Config, state: LeagueState, progress: TrainingProgress | None = None,
+    awaited: Sequence[tuple[str, str]] = (),
+) -> Plan:  # fmt: skip
     """Return the next rating jobs, one for each rating process; none while one is open or all pairs have their quota.
 
     While players learn, each newest snapshot meets the newest snapshots of all other players, its reference opponents
     and its own past snapshots, for `episodes_per_pair` episodes each (matchmaking/match_design.py); the remaining
-    episodes go to the pool. In arenas of more teams others complete such a pair (league/scheduling/lineups.py). Where a
-    success rate ends training, trials begin when training itself reaches it. No batch is queued before the previous one
-    has been paid for (league/scheduling/rating_budget.py), nor before any player has learnt. After the end of training
-    the same pairs play `final_episodes_per_pair` episodes each. Lineups of a batch that was set aside are played one by
-    one, and one that was set aside alone is not played again.
+    episodes go to the pool. Where a success rate ends training, trials begin when training itself reaches it. No batch
+    is queued before its `next_slot`, nor before any player has learnt. After the end of training the same pairs play
+    `final_episodes_per_pair` episodes each. Lineups of a batch that was set aside are played one by one, and one that
+    was set aside alone is not played again.
 
-    `progress` is the training progress of this planning pass, by default computed here.
+    `progress` is the training progress of this planning pass, by default computed here. `awaited` are pairs without
+    which a turn cannot begin (`turn_scheduler.next_turns`): they come before all others and are not booked, because
+    nobody learns meanwhile.
     """
     if is_rating(state) or not any(s.player for s in state.snapshots):
         return Plan()
     progress = progress or training_progress.measure(config, state)
     rating, due = config.rating, None
-    if progress.training:
+    if progress.training and not awaited:
         if config.deterministic and not config.budget.by_rating:
             return Plan()  # the training done when a batch is due depends on the clock
         due = next_slot(rating.share, progress.seconds, state.batches)
@@ -93,7 +167,7 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
         return Plan(tuple(rating_job(config, state, [lineup], due) for lineup in alone))
     each = batch_sizes.batch(rating, "cpu").pairings  # the manager's settings have the number of its own device
     room = each * max(1, config.workers.match)
-    wanted = _wanted(config, state, progress.finished, room + len(never))
+    wanted = complete(awaited, state) or _wanted(config, state, progress.finished, room + len(never))
     lineups = [lineup for lineup in wanted if lineup not in never][:room]
     batches = [lineups[i : i + each] for i in range(0, len(lineups), each)]
     return Plan(tuple(rating_job(config, state, batch, due) for batch in batches))
@@ -111,6 +185,27 @@ def _too_early(config: Config, state: LeagueState, progress: TrainingProgress) -
         return False
     last = state.batches.due if state.batches is not None else 0.0
     return progress.seconds - last < PATIENCE and all(share < target for share in state.successes.values())
+
+
+def next_slot(share: float, trained: float, last: Batches | None) -> float | None:
+    """Return the second of training to which batches queued now are booked; None if none may be queued yet.
+
+    Args:
+        share: the setting `rating.share`.
+        trained: seconds of training that the league has had.
+        last: the newest batches.
+    """
+    if share == 0.0:
+        return None
+    due = 0.0
+    if last is not None and last.due <= trained:  # otherwise the schedule, which defines training time, has changed
+        due = last.due + last.seconds / share
+    if due > trained and share < 1.0:
+        return None
+    return min(max(due, trained - CREDIT), trained)
+
+
+# Which snapshots meet -------------------------------------------------------------------------------------------------
 
 
 def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[Lineup]:
@@ -146,7 +241,7 @@ def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
     have to wait for it.
     """
     quota = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
-    newest = {s.name for s in newest_snapshots(state)}
+    newest = {s.name for s in state.newest_snapshots}
     able = [s for s in state.snapshots if s.thinned is None]
     order = sorted(able, key=lambda s: (s.name not in newest, -s.iteration, s.name))
     found = [
@@ -159,20 +254,71 @@ def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
     return [(name, None) for name in found]
 
 
+def complete(pairs: Sequence[tuple[str, str]], state: LeagueState, quota: int | None = None) -> list[Lineup]:
+    """Return the lineups of these pairs, in their order; in an arena of two teams the pairs themselves.
+
+    Pairs that give the same set of snapshots give one lineup, and a pair that nobody can complete gives none. Pairs of
+    the pool have a `quota`, the episodes as which a planned lineup counts; required pairs have none.
+    """
+    rosters = team_rosters(state.players)
+    if len(rosters) < 3:
+        return [*pairs]
+    able = {s.name: s for s in state.snapshots if s.thinned is None}
+    newest = [s.name for s in state.newest_snapshots if s.name in able]
+    rest = sorted(able.values(), key=lambda s: (s.script is not None, -s.iteration, s.name))
+    payoff = state.ladder.payoff
+    episodes = {} if quota is None else {name: int(payoff.total_episodes[payoff.index(name)]) for name in able}
+    found: dict[frozenset[str], tuple[str, ...]] = {}
+    for pair in pairs:
+        if quota is None:
+            after = others_after(newest, pair[0]) if pair[0] in newest else newest
+            others = [able[name] for name in after] + rest
+        else:
+            others = sorted(rest, key=lambda s: episodes[s.name])
+        lineup = _seated([able[name] for name in pair], others, rosters)
+        if lineup is None:
+            continue
+        found.setdefault(frozenset(lineup), lineup)
+        if quota is not None:
+            episodes |= {name: episodes[name] + quota for name in lineup}
+    return [*found.values()]
+
+
+def team_rosters(players: Sequence[Player]) -> list[str]:
+    """Return the roster of each team, in their order."""
+    by_team = {p.team: p.roster for p in players}
+    return [by_team[team] for team in sorted(by_team)]
+
+
+def _seated(pair: Sequence[Snapshot], others: Sequence[Snapshot], rosters: Sequence[str]) -> tuple[str, ...] | None:
+    """Return a snapshot for each team: the pair at the first teams that they fit, then the first others that fit.
+
+    None if there are not enough different snapshots of a roster.
+    """
+    seats: list[str | None] = [None] * len(rosters)
+    for snapshot in (*pair, *others):
+        free = [i for i, roster in enumerate(rosters) if seats[i] is None and roster == snapshot.roster]
+        if free and snapshot.name not in seats:
+            seats[free[0]] = snapshot.name
+    whole = tuple(name for name in seats if name is not None)
+    return whole if len(whole) == len(rosters) and {s.name for s in pair} <= set(whole) else None
+
+
+# Batches as jobs ------------------------------------------------------------------------------------------------------
+
+
 def _set_aside(state: LeagueState) -> tuple[list[Lineup], set[Lineup]]:
     """Return the lineups of failed batches, to be played alone now, and the lineups that failed alone.
 
     A failed batch whose pairs have met since is ignored: the key of a new batch of them would differ.
     """
     together: dict[Lineup, None] = {}
-    never: set[Lineup] = set()
+    never = failed_alone(state.jobs)
     for job in state.jobs:
         if job.kind == RatingMatch.kind and job.state == "failed":
             task = decode(job)
             assert isinstance(task, RatingMatch)
-            if len(task.lineups) == 1:
-                never.add(task.lineups[0])
-            elif encode(job.league, task, _about(state, task.lineups)).key == job.key:
+            if len(task.lineups) > 1 and encode(job.league, task, _about(state, task.lineups)).key == job.key:
                 together |= dict.fromkeys(task.lineups)
     return [lineup for lineup in together if lineup not in never], never
 
@@ -198,10 +344,3 @@ def rating_job(config: Config, state: LeagueState, lineups: Sequence[Lineup], du
     about = _about(state, lineups)
     seed = crc32(f"{config.seed}/{about}".encode())
     return encode(config.league, RatingMatch(tuple(lineups), seed, record=config.rating.record, due=due), about)
-
-
-def rating_goes_on(config: Config, state: LeagueState) -> bool:
-    """Return whether rating after training was interrupted: time remains, and there are matches to play."""
-    if not config.workers.match or rating_phase(config, state).until["seconds"] == 0:
-        return False
-    return is_rating(state) or bool(next_matches(config, state).jobs)

@@ -8,9 +8,9 @@ functions here depend on the store and the settings only, so scheduler, trainer 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from league.scheduling.opponent_sampling import met_in, records
+from league.scheduling.opponent_sampling import candidate_scores
 from league.state.league_state import LeagueState
-from matchmaking.ratings.scores import Score, score_interval
+from matchmaking.ratings.scores import Score
 from matchmaking.roles import MAIN, Role
 from storage.records import Player, Snapshot
 
@@ -55,27 +55,7 @@ def current_generation(role: Role, state: LeagueState, player: Player, steps: in
     if not role.has_generations or not history:
         return None
     since = history[-1]
-    return Generation(role, since, steps - since.step, _scores(role, state, player, since))
-
-
-def _scores(role: Role, state: LeagueState, player: Player, since: Snapshot) -> dict[str, Score]:
-    """Compute win rates against all candidate opponents; of a main exploiter's, against each player's newest."""
-    assert role.opponents is not None
-    if role.win_rate is None:
-        return {}
-    found: dict[str, Score] = {}
-    known = records(role.opponents, state, player, since.iteration)
-    for team in sorted({p.team for p in state.players} - {player.team}):
-        pool = met_in(role, role.opponents, state, team)
-        if role.opponents.kind == "exploit":
-            pool = list({s.player: s for s in pool}.values())
-        elif role.opponents.kind == "latest":
-            pool = pool[-1:]
-        for name in (s.name for s in pool):
-            kept = known.against(name)
-            low, high = score_interval(kept.score, 0, kept.games - kept.score)
-            found[name] = Score(kept.rate, float(low), float(high), int(known.games([name])[0]))
-    return found
+    return Generation(role, since, steps - since.step, candidate_scores(role, state, player, since))
 
 
 def initial_policy_since(role: Role, seed: int, player: str, history: Sequence[Snapshot]) -> int:

@@ -49,11 +49,6 @@ def score_against_initial(
     return score if score.games else None
 
 
-def newest_snapshots(state: "LeagueState") -> list[Snapshot]:
-    """Each player's newest snapshot, by iteration."""
-    return [history[-1] for p in state.players if (history := state.history(p.name))]
-
-
 def milestones(config: "Config", state: "LeagueState", player: str) -> dict[str, Snapshot]:
     """Return a player's first snapshot after each milestone of training time that it has passed, by milestone."""
     found = {}
@@ -99,7 +94,7 @@ def required_opponents(config: "Config", state: "LeagueState", over: bool) -> di
     parent, its own 10 back; then scripts and imports, and after training (`over`) the milestones too. Only snapshots
     that it can meet and that still have their policy.
     """
-    newest = [s for s in newest_snapshots(state) if s.thinned is None]
+    newest = [s for s in state.newest_snapshots if s.thinned is None]
     of, names, found = {s.name: s for s in newest}, [s.name for s in newest], {}
     for s in newest:
         history = [each for each in state.history(str(s.player)) if each.thinned is None]

@@ -1,6 +1,7 @@
 """Warm start: the players of a league take over actors and critics of earlier leagues.
 
-A frozen policy that comes with the league counts as a league of one player without a critic.
+A frozen policy that comes with the league counts as a league of one player without a critic, and so does a snapshot,
+which `after` names as league/snapshot.
 
 An agent continues from an agent of the same kind of robot, of the nearest league that has one. If that league has
 several, they are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of
@@ -18,10 +19,10 @@ from league.config import toml
 from league.config.experiment import Config
 from league.config.sections import Rating
 from league.queries.league_settings import LeagueSettings
-from league.scheduling.stage_completion import handed_on
+from league.scheduling.training_progress import handed_on
 from league.snapshots import policy_file
 from league.state.league_state import LeagueState
-from storage.blobs import arrays
+from storage.blobs import arrays, programs
 from storage.errors import StorageError, UnknownName
 from storage.records import Player, Snapshot
 from storage.store import Store
@@ -166,15 +167,38 @@ def describe(starts: Mapping[str, WarmStart], store: Store | None = None) -> lis
 
 
 def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:
-    """Return the players for each name: of a league of the store, else of a policy that comes with the league.
+    """Return the players for each name: of a league of the store, of a snapshot, else of a policy that comes with the
+    league.
 
-    Raises UnknownName for a name that is neither.
+    Raises UnknownName for a name that is none of them, StorageError for a snapshot without networks.
     """
     leagues = {league.name: store for league in store.leagues()} if store else {}
     for name in named:
-        if name not in leagues and name not in policy_file.trained():
+        if name.partition("/")[0] not in leagues and name not in policy_file.trained():
             raise UnknownName("league or trained policy", name, [*leagues, *policy_file.trained()])
-    return [leagues[name].players(name) if name in leagues else [_shipped_player(name)] for name in named]
+    found: list[Sequence[Player]] = []
+    for name in named:
+        league, slash, _ = name.partition("/")
+        if slash:
+            snapshot = _snapshot(leagues[league], name)
+            found.append([Player(name, snapshot.name, 0, FROZEN, snapshot.roster)])
+        else:
+            found.append(leagues[name].players(name) if name in leagues else [_shipped_player(name)])
+    return found
+
+
+def _snapshot(store: Store, name: str) -> Snapshot:
+    """Return the snapshot that is named league/snapshot. Raises UnknownName, or StorageError if it has no networks."""
+    league, _, own = name.partition("/")
+    known = {snapshot.name: snapshot for snapshot in store.snapshots(league)}
+    if own not in known:
+        raise UnknownName("snapshot", own, [*known])
+    snapshot = known[own]
+    if snapshot.thinned is not None:
+        raise StorageError(f"{name} has been thinned: its policy is gone")
+    if snapshot.script or programs.is_program(store.blobs.get(snapshot.digest)):
+        raise StorageError(f"{name} is a {'script' if snapshot.script else 'program'}: no player can go on from it")
+    return snapshot
 
 
 def _shipped_player(name: str) -> Player:
@@ -230,6 +254,10 @@ def start(store: Store | None, learner: "HappoLearner", sources: WarmStart) -> s
 
 def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
     """Return the name of a source player and its learner's state; for a frozen policy only the part for actors."""
+    if store is not None and "/" in league:
+        snapshot = _snapshot(store, league)
+        state = _named(arrays.from_bytes(store.blobs.get(snapshot.digest)))
+        return league, _with_counts(state, snapshot.roster, snapshot.step)
     if store is None or league not in {known.name for known in store.leagues()}:
         return f"{league}/{player}", _arrays_of(policy_file.read(policy_file.find(league)))
     kept = store.checkpoint(league, player)
@@ -276,14 +304,18 @@ def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _arrays_of(policy: policy_file.Policy) -> dict[str, np.ndarray]:
-    """Return a frozen policy's actors as in a learner's state.
+    """Return a frozen policy's actors as in a learner's state."""
+    return _with_counts(_named(policy.arrays), policy.about["roster"], policy.about["steps"])
 
-    If the policy normalises observations, its statistics have the weight of the decisions in its last league, so that a
-    first batch does not dominate them.
+
+def _with_counts(state: dict[str, np.ndarray], roster: str, steps: int) -> dict[str, np.ndarray]:
+    """Return the actors of a frozen policy that learnt from so many decisions, with the weight of its statistics.
+
+    If the policy normalises observations, its statistics have the weight of these decisions, so that a first batch does
+    not dominate them.
     """
-    state = _named(policy.arrays)
-    for i in range(len(roster_agents(policy.about["roster"]))):
+    for i in range(len(roster_agents(roster))):
         trunk = f"actor.{i}.trunk.observation_"
-        known = policy.about["steps"] if np.isfinite(state[f"{trunk}clip"]) else 0
+        known = steps if np.isfinite(state[f"{trunk}clip"]) else 0
         state[f"actor.{i}.observed"] = np.full_like(state[f"{trunk}mean"], known)
     return state

@@ -30,7 +30,7 @@ from storage.store import Store
 class Batches(NamedTuple):
     """The rating batches that were queued last, at the same time, during training."""
 
-    due: float  # the second of training to which they are booked (league/scheduling/rating_budget.py)
+    due: float  # the second of training to which they are booked (league/scheduling/match_scheduler.py)
     seconds: float  # device time that they took
 
 
@@ -133,6 +133,11 @@ class LeagueState:
         for snapshot in self.snapshots:
             found[snapshot.player].append(snapshot)
         return found
+
+    @cached_property
+    def newest_snapshots(self) -> Sequence[Snapshot]:
+        """Each player's newest snapshot, by iteration."""
+        return [history[-1] for p in self.players if (history := self.history(p.name))]
 
     @cached_property
     def groups(self) -> Mapping[str, Sequence[Player]]:

@@ -5,6 +5,7 @@ import re
 import socket
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from storage.records import Worker
 from storage.store import Store
@@ -27,16 +28,28 @@ def exists(pid: int) -> bool:
     return True
 
 
-def place(holder: str) -> tuple[str, str]:
-    """Return host and id of a process named `host:pid:...`; the id is empty if the name is damaged."""
+class NamedProcess(NamedTuple):
+    """A process that holds a lease, by its name `host:pid:...`."""
+
+    host: str
+    pid: str  # empty if the name is damaged
+
+    @property
+    def dead(self) -> bool:
+        """Return whether it is of this host and does not exist any more."""
+        is_number = re.fullmatch(r"\d{1,9}", self.pid) is not None
+        return self.host == socket.gethostname() and is_number and not exists(int(self.pid))
+
+
+def process_named(holder: str) -> NamedProcess:
+    """Return the process of a name."""
     host, *pid = holder.rsplit(":", 2)
-    return host, pid[0] if pid else ""
+    return NamedProcess(host, pid[0] if pid else "")
 
 
 def is_dead(holder: str) -> bool:
     """Return whether a process named `host:pid:...` is of this host and does not exist any more."""
-    host, pid = place(holder)
-    return host == socket.gethostname() and re.fullmatch(r"\d{1,9}", pid) is not None and not exists(int(pid))
+    return process_named(holder).dead
 
 
 def leader(store: Store, league: str) -> str | None:

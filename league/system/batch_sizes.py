@@ -20,8 +20,9 @@ class Batch(NamedTuple):
 
 
 CPU_WORLDS = 256  # more worlds make updates rarer
-GPU_WORLDS: Mapping[str, int] = {"anymal-walk": 4096}
-"""Worlds of training on a GPU that reached a fixed strength soonest (`experiments/worlds.py`), by arena."""
+GPU_WORLDS: Mapping[str, int] = {"anymal-walk": 2048, "walk": 2048, "sumo-2v2": 4096}
+"""Worlds of training on a GPU that reached a fixed strength soonest, by arena (`experiments/worlds.py` and
+`benchmarks/strength.py`)."""
 OTHER_GPU_WORLDS = 8192
 """Worlds for arenas without a measurement: below some thousand worlds a GPU is idle between kernel launches."""
 RATING: Mapping[str, Batch] = {"cpu": Batch(512, 4), "gpu": Batch(4096, 32)}

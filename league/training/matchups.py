@@ -76,6 +76,20 @@ class Matchups:
         assigned = [self.assigned[k] for k in self._groups_of(learner)]
         return sum(seats != self.turn.present for seats in assigned) / len(assigned)
 
+    def opponents_of(self, learner: str, iterations: Mapping[str, int]) -> list[str]:
+        """Return against whom a player learns in each of its groups of worlds, in their order, as texts.
+
+        Equal texts mean equal policies, but for opponents that learn in this turn themselves, whose text is their name.
+        `iterations` are those of the present players.
+        """
+        learning = self.turn.learners
+        texts = {name: f"{name}@{i}" for name, i in iterations.items() if name not in learning}
+        own = self.turn.present.index(learner)
+        return [
+            " ".join(texts.get(name, name) for team, name in enumerate(self.assigned[k]) if team != own)
+            for k in self._groups_of(learner)
+        ]
+
     def meetings(self, player: Player, iteration: int, results: np.ndarray) -> list[Meeting]:
         """Return the results of a learner's games of the turn, one row for each opponent.
 

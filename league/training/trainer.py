@@ -33,6 +33,7 @@ from league.system.gpu_sharing import GpuLock
 from league.training.learner_factory import batch_of
 from league.training.learner_pool import Counters, LearnerPool
 from league.training.matchups import Matchups
+from league.training.own_learner import OwnLearner
 from league.training.setback import PlayerDiverged
 from league.training.training_programs import TrainingPrograms
 from league.training.training_recorder import TrainingRecorder
@@ -113,6 +114,7 @@ class Trainer:
             return
         matchups = self._matchups(store, turn)
         worlds, collect = self._prepare(matchups, turn)
+        self._introduce(matchups)
         began, before, steps = time.monotonic(), dict(pool.counters), 0
         met = {name: np.zeros((matchups.groups, len(self.arena.teams), 4)) for name in turn.learners}
 
@@ -210,6 +212,14 @@ class Trainer:
         for name in filter(None, diverged):
             raise PlayerDiverged(name, diverged[name])
         return figures
+
+    def _introduce(self, matchups: Matchups) -> None:
+        """Tell learners of other classes against whom they learn in this turn."""
+        iterations = {name: at.iteration for name, at in self.pool.counters.items()}
+        for name in matchups.turn.learners:
+            learner = self.pool.learners[name]
+            if isinstance(learner, OwnLearner):
+                learner.meet(matchups.opponents_of(name, iterations))
 
     def _players_with_learning_critics(self, turn: TrainingTurn, matchups: Matchups) -> list[str]:
         """Return the players whose critics learn in the turn: the learners, then the resting players."""

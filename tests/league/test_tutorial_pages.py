@@ -116,7 +116,7 @@ def test_every_step_of_the_hour_runs_in_its_order(folder, capsys):
                 train(file)
             case _, str(text):
                 (folder / name).write_text(text)
-    assert out.count("ok  ") == 26
+    assert out.count("ok  ") == 27
     assert re.search(r"ppo against guest: \d+ won", out)
 
 

@@ -70,4 +70,4 @@ def test_the_arena_of_the_page_keeps_its_contract(tmp_path, monkeypatch, capsys)
         cli.main(["check", f"{name}:dash"])
     out = capsys.readouterr().out
     assert (ended.value.code or 0) == 0, out
-    assert out.count("ok  ") == 26
+    assert out.count("ok  ") == 27

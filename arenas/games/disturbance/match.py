@@ -1,16 +1,16 @@
-"""The disturbed walk: a robot walks ahead, and nature pushes its bodies, or sets its masses and friction beforehand.
+"""The disturbed walk: a robot walks ahead, and nature pushes its bodies, or sets masses, friction and ground before.
 
 The walk is that of `arenas.games.walk`, with its goal ahead of the start. Nature is the other team:
 
 - `disturbance` pushes bodies of the walker in every decision;
-- `designer` sets factors in the first decision, and then leaves the game.
+- `designer` sets factors in the first decision, and chooses among height fields, and then leaves the game.
 
 The walker wins at the goal; nature wins when the walker falls, or time is up. Nature's reward is the walker's with the
 opposite sign, and a cost of its forces. Without bodies and factors there is no nature: one team, with the same
 observation, whose policies play in both.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Unpack
 
 import jax
@@ -19,18 +19,22 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from arenas.arena_settings import EngineOptions
+from arenas.arena_settings import EngineOptions, Solver
 from arenas.description import Legend, Part
 from arenas.errors import ArenaError
-from arenas.games.disturbance.settings import BASE, FRICTION, NATURE, DisturbanceSettings
+from arenas.games.disturbance.settings import BASE, FLAT, FRICTION, NATURE, TERRAIN, DisturbanceSettings
 from arenas.games.sumo.walk import WALKER, GameState
 from arenas.games.walk.match import RobotWalk, walker_of
 from arenas.physics.engine import Physics
+from arenas.robots.kinematics import Heights
 from arenas.robots.nature import designer, disturbance
-from arenas.robots.robot import Robot, Script
+from arenas.robots.robot import Body, Robot, Script
 from arenas.scene.colours import TEAM_COLOURS
+from arenas.scene.height_fields import HeightField, Terrain
 from arenas.state import Verdict
 
+GROUND = 0x6772  # folded into an episode's key for its ground
+FIELD_ROOM = Solver(contacts=24, rows=96)  # in Warp's buffers, for a robot on a height field
 GRAVITY = 9.81  # m/s²
 SIDES = jnp.array([1.0, -1.0])  # the walker's gain is nature's loss
 
@@ -54,17 +58,32 @@ class Disturbance(RobotWalk):
         bodies = [_body_name(walker, model, "bodies", name) for name in settings.bodies]
         if twice := [name for name in bodies if bodies.count(name) > 1]:
             raise ArenaError(f"bodies: {twice[0].removeprefix(f'{WALKER}/')} is named twice")
-        weighed = {name: _body_name(walker, model, "design", name) for name in self.bounds if name != FRICTION}
+        weighed = {
+            name: _body_name(walker, model, "design", name) for name in self.bounds if name not in (FRICTION, TERRAIN)
+        }
         nature: list[Robot] = []
         if bodies:
             nature.append(disturbance(bodies, self.limit, self.axes))
         if self.bounds:
             nature.append(designer(self.bounds))
-        super().__init__(settings, {NATURE: nature} if nature else {}, **options)
+        fields = [HeightField.of(name, float(x), settings.rules.distance) for name, x in settings.terrain.items()]
+        super().__init__(
+            settings, {NATURE: nature} if nature else {}, [field.prop() for field in fields],
+            FIELD_ROOM if fields else None, **options,
+        )  # fmt: skip
+        self.terrain = Terrain(self.scene.model, fields)
+        self._flat = jnp.asarray(self.scene.model.body_pos, jnp.float32)
         self.cost, self._ahead = self.weights.pop("force"), settings.rules.distance
         self.alone = not nature
         self._nature = {robot.kind: agent for agent, robot in self.robots.items() if agent != WALKER}
-        self._factors = [_Factor(self.scene.model, self._at.base, weighed.get(name)) for name in self.bounds]
+        numbers = {FLAT: 0} | {field.name: 1 + i for i, field in enumerate(fields)}
+        self._factors = [
+            _Ground(self.terrain, [numbers[str(each)] for each in bounds])
+            if name == TERRAIN
+            else _Factor(self.scene.model, self._at.base, weighed.get(name))
+            for name, bounds in self.bounds.items()
+        ]
+        self._before = jnp.array([factor.before for factor in self._factors])
 
     def observation_size(self, agent: str) -> int:
         """Return the size of the observation: nature sees what the walker sees, and the factors."""
@@ -75,7 +94,11 @@ class Disturbance(RobotWalk):
         parts = super().observation_parts(WALKER)
         if agent == WALKER:
             return parts
-        return (*parts, *(Part(f"factor {name}", 1, "", "that nature set; 1 before") for name in self.bounds))
+        meaning = {TERRAIN: "the place in nature's choice, from 0; 0 before"}
+        factors = (
+            Part(f"factor {name}", 1, "", meaning.get(name, "that nature set; 1 before")) for name in self.bounds
+        )
+        return (*parts, *factors)
 
     def legend(self) -> Legend:
         """Describe the verdict; the notes of the weights describe the walker's terms."""
@@ -85,6 +108,14 @@ class Disturbance(RobotWalk):
         won = f"1 for the walker within {self.rules.reach:g} m of the goal; 1 for nature when it falls, or time is up"
         return Legend(won, {**walk.rewards, "force": ""}, events=walk.events)
 
+    def heights(self, physics: Physics, body: Body) -> Heights:
+        """Return the heights of torso, limbs and feet above the ground under the base."""
+        low = super().heights(physics, body)
+        if not self.terrain.fields:
+            return low
+        ground = self.terrain.height(physics.model["body_pos"], body.pose[:2])
+        return jax.tree.map(lambda height: height - ground, low)
+
     # Rules -----------------------------------------------------------------------------------------------------------
 
     def place(self, key: Array) -> tuple[Array, Array, GameState]:
@@ -92,13 +123,16 @@ class Disturbance(RobotWalk):
         at, noise = self._at, 0.02 * jax.random.normal(key, (len(self._at.joint_qpos),))
         qpos = self._rest.at[at.joint_qpos].add(noise)
         goal, still = jnp.array([self._ahead, 0.0]), jnp.zeros(self.robot.action_size)
-        nature = NatureState(jnp.ones(len(self.bounds)), jnp.ones((), bool), jnp.zeros(()))
+        nature = NatureState(self._before, jnp.ones((), bool), jnp.zeros(()))
         walk = GameState(goal, still, still, jnp.zeros(len(self.robot.feet)), nature)
         return qpos, jnp.zeros(self.scene.model.nv), walk
 
     def randomise(self, key: Array) -> dict[str, Array]:
-        """Draw model fields by the settings, and add those that nature may set."""
+        """Draw model fields by the settings, and the ground, and add those that nature may set."""
         drawn, model = super().randomise(key), self.scene.model
+        if self.terrain.fields and TERRAIN not in self.bounds:
+            number = jax.random.randint(jax.random.fold_in(key, GROUND), (), 0, 1 + len(self.terrain.fields))
+            drawn = drawn | {"body_pos": self.terrain.placed(drawn.get("body_pos", self._flat), number)}
         names = {field for factor in self._factors for field in factor.fields}
         return {name: jnp.asarray(getattr(model, name), jnp.float32) for name in sorted(names)} | drawn
 
@@ -113,7 +147,7 @@ class Disturbance(RobotWalk):
         return super().decide(game, actions)._replace(nature=nature)
 
     def design(self, physics: Physics, game: GameState) -> tuple[Array, Array, dict[str, Array]] | None:
-        """Multiply friction and masses by nature's factors."""
+        """Multiply friction and masses by nature's factors, and put the chosen ground in place."""
         if not self._factors:
             return None
         fields = dict(physics.model)
@@ -169,6 +203,8 @@ class DesignedDisturbance(Disturbance):
 class _Factor:
     """One number that nature sets: a factor on the walker's friction, or on the mass of one of its bodies."""
 
+    before = 1.0  # of the first decision
+
     def __init__(self, model: mujoco.MjModel, base: int, body: str | None):
         """Choose a body by its name in the model, or without one the friction of the robot with this base (id)."""
         if body is None:
@@ -183,6 +219,20 @@ class _Factor:
         """Return a field of the model with its own numbers multiplied."""
         chosen = self._chosen if field.ndim == self._chosen.ndim else self._chosen[:, None]
         return jnp.where(chosen, field * factor, field)
+
+
+class _Ground:
+    """Another number that nature sets: the place in its choice of ground, 0 before."""
+
+    fields, before = ("body_pos",), 0.0
+
+    def __init__(self, terrain: Terrain, numbers: Sequence[int]):
+        """Choose among fields by their numbers in the scene's terrain."""
+        self._terrain, self._numbers = terrain, jnp.array(numbers)
+
+    def applied(self, field: Array, place: Array) -> Array:
+        """Return the places of bodies with the chosen field alone on the ground."""
+        return self._terrain.placed(field, self._numbers[place.astype(int)])
 
 
 def _model(robot: Robot) -> mujoco.MjModel:

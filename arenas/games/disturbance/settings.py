@@ -19,17 +19,39 @@ if TYPE_CHECKING:
     from arenas.games.disturbance.match import Disturbance
 
 WALKER_TEAM, NATURE = "blue", "nature"
-FRICTION, BASE = "friction", "base"
+FRICTION, BASE, TERRAIN = "friction", "base", "terrain"
 LOWEST, HIGHEST = 0.01, 100.0  # of factors: MuJoCo needs masses above 0
 
 
+FLAT, FIELDS = "flat", ("bumps", "terraces", "waves")  # those of arenas/scene/height_fields.py
+LOW_FIELD, HIGH_FIELD, FAR_FIELD = 0.02, 1.0, 100.0  # m: heights of a field, and the longest way that may have fields
+
+
 def check_design(table: Mapping[str, Any]) -> None:
-    """Raise ValueError, one line, for a table that gives no ranges of factors."""
+    """Raise ValueError, one line, for a table that gives no ranges of factors and no choice of terrain."""
     for name, value in table.items():
+        if name == TERRAIN:
+            names = isinstance(value, list | tuple) and all(isinstance(each, str) for each in value)
+            if not names or len({*value}) < max(2, len(value)):
+                raise ValueError(
+                    f"{name}: {value!r:.80} must be the names of two or more height fields, as [flat, bumps]"
+                )
+            continue
         numbers = isinstance(value, list | tuple) and all(type(each) in (int, float) for each in value)
         if not numbers or len(value) != 2 or not LOWEST <= value[0] <= value[1] <= HIGHEST:
             raise ValueError(
                 f"{name}: {value!r:.80} must be two factors, lowest and highest, from {LOWEST:g} to {HIGHEST:g}"
+            )
+
+
+def check_terrain(table: Mapping[str, Any]) -> None:
+    """Raise ValueError, one line, for a table that gives no heights of height fields."""
+    for name, height in table.items():
+        if name not in FIELDS:
+            raise ValueError(f"{name!r:.80} is no height field: {', '.join(FIELDS)}")
+        if type(height) not in (int, float) or not LOW_FIELD <= height <= HIGH_FIELD:
+            raise ValueError(
+                f"{name}: {height!r:.80} must be its greatest height, from {LOW_FIELD:g} to {HIGH_FIELD:g} m"
             )
 
 
@@ -87,16 +109,37 @@ class DisturbanceSettings(RobotWalkSettings):
     """Bodies of the walker that nature pushes, by their names in its model; base is its base. Empty: it does not."""
     design: Table = field(default_factory=Table, metadata={"valid": check_design})
     """Factors that nature sets before an episode, by lowest and highest: {friction = [0.5, 2], base = [0.7, 1.5]} of
-    the walker's friction and of the masses of bodies. Empty: it sets none. Without bodies too the walker is alone."""
+    the walker's friction and of the masses of bodies; terrain = ["flat", "bumps"] is a choice among height fields.
+    Empty: it sets none. Without bodies too the walker is alone."""
+    terrain: Table = field(default_factory=Table, metadata={"valid": check_terrain})
+    """Height fields on the way to the goal, by their greatest heights in metres: {bumps = 0.1, terraces = 0.2, waves =
+    0.1}. Unless `design` has a choice among them, each episode draws one, or the flat ground."""
     rules: DisturbanceRules = field(default_factory=DisturbanceRules)  # type: ignore[assignment]
     """Rules that decide an episode."""
     reward: DisturbanceReward = field(default_factory=DisturbanceReward)
     """Rewards for learning."""
 
+    def __post_init__(self) -> None:
+        """Check also that a choice of terrain is among the arena's height fields."""
+        super().__post_init__()
+        if self.terrain and self.rules.distance > FAR_FIELD:
+            raise ValueError(f"terrain: its height fields reach {FAR_FIELD:g} m, and the goal is further away")
+        if (chosen := self.design.get(TERRAIN)) is None:
+            return
+        if not self.terrain:
+            raise ValueError("design: terrain: the arena has no height field; give it some, terrain = {bumps = 0.1}")
+        if strange := [name for name in chosen if name not in (FLAT, *self.terrain)]:
+            raise ValueError(
+                f"design: terrain: {strange[0]!r:.80} is none of the arena's: {', '.join((FLAT, *self.terrain))}"
+            )
+
     @property
-    def bounds(self) -> dict[str, tuple[float, float]]:
-        """Ranges of the factors that nature sets, by name."""
-        return {name: (float(low), float(high)) for name, (low, high) in self.design.items()}
+    def bounds(self) -> dict[str, tuple[float, float] | tuple[str, ...]]:
+        """Ranges of the factors that nature sets, and the names of its choice of terrain."""
+        return {
+            name: tuple(value) if name == TERRAIN else (float(value[0]), float(value[1]))
+            for name, value in self.design.items()
+        }
 
     @property
     def axes(self) -> str:

@@ -29,6 +29,7 @@ from arenas.robots.anymal import anymal
 from arenas.robots.kinematics import Heights
 from arenas.robots.robot import Body, Robot, Script
 from arenas.robots.rotations import into_body, up_z
+from arenas.scene.props import Prop
 from arenas.state import Verdict
 
 WALKER = "blue/0"
@@ -78,7 +79,7 @@ def sumo_walk_observation(buffer: int) -> WalkObservation:
 class Walk(Arena):
     """An ANYmal, called `blue/0`, and its goal; `layout` is its observation, by default as in sumo's later stages.
 
-    `others` are rosters of further teams, whose games judge them.
+    `others` are rosters of further teams, whose games judge them, and `props` what else is in the scene.
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class Walk(Arena):
         robot: Robot | None = None,
         solver: Solver | None = None,
         others: Mapping[str, Sequence[Robot]] | None = None,
+        props: Sequence[Prop] = (),
         **options: Unpack[EngineOptions],
     ):
         rules = settings.rules
@@ -97,7 +99,7 @@ class Walk(Arena):
         super().__init__(
             settings.name, {"blue": (self.robot,), **(others or {})}, settings.timing,
             {**asdict(rules), "randomisation": asdict(settings.randomisation)},
-            solver=solver or Solver(contacts=18, rows=80), marker_kinds={"goal": "circle"}, **options,
+            props=props, solver=solver or Solver(contacts=18, rows=80), marker_kinds={"goal": "circle"}, **options,
         )  # fmt: skip
         self.rules, self.randomisation = rules, settings.randomisation
         self.weights = weights_of(settings.reward)

@@ -20,6 +20,7 @@ from arenas.robots.files.loading import file_robot
 from arenas.robots.kinds import kind_of
 from arenas.robots.kinematics import HeightReader, Heights
 from arenas.robots.robot import Body, Robot
+from arenas.scene.props import Prop
 
 SPARE_CONTACTS, SPARE_ROWS = 4, 36  # of Warp's buffers, besides those of the kind
 
@@ -31,12 +32,17 @@ class RobotWalk(Walk):
         self,
         settings: RobotWalkSettings,
         others: Mapping[str, Sequence[Robot]] | None = None,
+        props: Sequence[Prop] = (),
+        spare: Solver | None = None,
         **options: Unpack[EngineOptions],
     ):
+        """Build the walk; `others` and `props` are those of `Walk`, `spare` the room that props need in buffers."""
         name = settings.blue[0]
-        robot, room = walker_of(name), kind_of(name)
-        solver = Solver(contacts=SPARE_CONTACTS + room.contacts, rows=SPARE_ROWS + room.rows)
-        super().__init__(settings, observation(robot, settings.buffer), robot, solver, others, **options)
+        robot, room, more = walker_of(name), kind_of(name), spare or Solver(contacts=0, rows=0)
+        solver = Solver(
+            contacts=SPARE_CONTACTS + room.contacts + more.contacts, rows=SPARE_ROWS + room.rows + more.rows
+        )
+        super().__init__(settings, observation(robot, settings.buffer), robot, solver, others, props, **options)
         feet = [f"{WALKER}/{foot}" for foot in robot.feet]
         self._heights = HeightReader(self.scene.model, self._at.base, feet)
 

@@ -26,7 +26,7 @@ class GridOptions(Listing):
     snapshots: tuple[str, ...] = positional(many=True)
     """Snapshots such as blue@64, or players, whose newest counts: `league snapshots` lists them."""
     points: int = field(default=10, metadata={"low": 1, "high": 1000})
-    """Values of each number that the designer sets, from its lowest to its highest."""
+    """Values of each number that the designer sets, from its lowest to its highest; of a choice all."""
     episodes: int = field(default=10, metadata={"low": 1, "high": 2**16})
     """Episodes in each cell; all cells have the same seeds."""
     seed: int = field(default=1, metadata={"low": 0})
@@ -39,13 +39,14 @@ def grid(args: list[str]) -> int:
     options = parse(GridOptions, own, "grid", WHAT)
     if not options.snapshots:
         raise ConfigError((), "league grid needs SNAPSHOTS: see league grid --help")
-    from league.matches.design_grid import designer_of, play_grid
+    from league.matches.design_grid import designer_of, grid_points, play_grid
 
     with options.open() as opened:
         config = configuration.change(configuration.loads(opened.store.league(opened.league).config), given)
         snapshots = [opened.snapshot(name) for name in options.snapshots]
         probe = config.arena.build(engine="c")
-        worlds = options.points ** len(probe.robots[designer_of(probe)].sets) * options.episodes
+        cells = len(grid_points(probe.robots[designer_of(probe)].sets, options.points))
+        worlds = cells * options.episodes
         if worlds > MOST:
             raise ConfigError((), f"{worlds:,} episodes at once are more than {MOST:,}: fewer --points or --episodes")
         with report_kernels():
@@ -57,10 +58,10 @@ def grid(args: list[str]) -> int:
             ]
     names = [snapshot.name for snapshot in snapshots]
     if options.format != "table":
-        cells = [row for name, found in zip(names, grids, strict=True) for row in _cells(name, found)]
-        print(render(cells, format=options.format))
+        rows = [row for name, found in zip(names, grids, strict=True) for row in _cells(name, found)]
+        print(render(rows, format=options.format))
         return 0
-    title = f"{worlds:,} episodes: {options.points} values of {', '.join(grids[0].names)}, {options.episodes} each"
+    title = f"{worlds:,} episodes: {cells:,} cells of {', '.join(grids[0].names)}, {options.episodes} each"
     print(render([_row(name, found) for name, found in zip(names, grids, strict=True)], COLUMNS, title=title))
     return 0
 
@@ -68,8 +69,8 @@ def grid(args: list[str]) -> int:
 def _row(name: str, found: Any) -> dict[str, Any]:
     from league.matches.design_grid import summarise
 
-    score, total = summarise(found.scores, found.values), summarise(found.returns, found.values)
-    where = ", ".join(f"{n} {x:.3g}" for n, x in zip(found.names, total.where, strict=True))
+    score, total = summarise(found.scores, found.labels), summarise(found.returns, found.labels)
+    where = ", ".join(f"{n} {x if isinstance(x, str) else format(x, '.3g')}" for n, x in total.where.items())
     return {
         "snapshot": name, "score": score.mean, "score_tenth": score.tenth, "score_worst": score.least,
         "return": total.mean, "return_tenth": total.tenth, "return_worst": total.least, "where": where,
@@ -79,6 +80,6 @@ def _row(name: str, found: Any) -> dict[str, Any]:
 
 def _cells(name: str, found: Any) -> list[dict[str, Any]]:
     return [
-        {"snapshot": name, **dict(zip(found.names, map(float, values), strict=True)), "score": score, "return": total}
-        for values, score, total in zip(found.values, found.scores.tolist(), found.returns.tolist(), strict=True)
+        {"snapshot": name, **labels, "score": score, "return": total}
+        for labels, score, total in zip(found.labels, found.scores.tolist(), found.returns.tolist(), strict=True)
     ]

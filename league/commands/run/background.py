@@ -21,7 +21,7 @@ from league.runtime.manager import Manager, ManagerError, RunState
 from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.scheduling import curriculum
-from league.scheduling.stage_completion import handed_on
+from league.scheduling.training_progress import handed_on
 from league.snapshots import warm_start
 from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState

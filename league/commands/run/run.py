@@ -27,7 +27,7 @@ from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.training_progress import trained_enough
 from league.state.league_state import LeagueState
 from league.state.learner_changes import learner_changes
-from league.state.liveness import leader, place
+from league.state.liveness import leader, process_named
 from league.system import devices, exit_codes, provenance
 from storage.database.urls import without_passwords
 from storage.errors import NotAStore
@@ -122,7 +122,7 @@ def _refuse_if_running(where: str, config: Config) -> None:
     except NotAStore:
         return
     if found is not None:
-        host, pid = place(found)
+        host, pid = process_named(found)
         raise ManagerError(
             f"league {config.league!r} is running already (process {pid} on {host}): see `league status`, or"
             " `league stop` first",

@@ -6,7 +6,7 @@ from league.commands.status_line import trouble_text
 from league.config.experiment import Config
 from league.queries.query import score_text
 from league.queries.ratings.evidence import evidence_text
-from league.scheduling.progress_metrics import can_meet, newest_snapshots, reference_opponents
+from league.scheduling.progress_metrics import can_meet, reference_opponents
 from league.state.league_state import LeagueState
 from league.state.void_rates import warnings as void_warnings
 from matchmaking.ratings.comparison import compare_snapshots
@@ -32,7 +32,7 @@ def summary(config: Config, state: LeagueState) -> str:
 
 def _who_is_better(state: LeagueState) -> list[str]:
     """Return whether the best player's newest snapshot is stronger than the second player's, for each roster."""
-    newest = [s for s in newest_snapshots(state) if not state.one_team]
+    newest = [s for s in state.newest_snapshots if not state.one_team]
     known = [s for s in newest if state.ladder.known(s.name)]
     lines = []
     ratings = state.ladder.ratings
@@ -54,7 +54,7 @@ def _who_is_better(state: LeagueState) -> list[str]:
 def _scores_of_newest(config: Config, state: LeagueState) -> list[str]:
     """Return each newest snapshot's scores against its reference opponents, or in an arena of one team its success."""
     blocks = []
-    for snapshot in newest_snapshots(state):
+    for snapshot in state.newest_snapshots:
         if state.one_team:
             trial_episodes = state.ladder.trial_episodes(snapshot.name)
             said = score_text(state.ladder.success(snapshot.name)) if trial_episodes else "not tried yet"
@@ -76,7 +76,7 @@ def _scores_of_newest(config: Config, state: LeagueState) -> list[str]:
 
 def _listed_opponents(config: Config, state: LeagueState, snapshot: Snapshot) -> list[Snapshot]:
     """Return the other players' newest snapshots that it can meet, if they are few, and its reference opponents."""
-    others = [s for s in newest_snapshots(state) if s.player != snapshot.player]
+    others = [s for s in state.newest_snapshots if s.player != snapshot.player]
     rivals = [s for s in others if can_meet(snapshot, s, state.players)]
     rivals = rivals if len(rivals) <= RIVALS else []
     return list({s.name: s for s in (*rivals, *reference_opponents(config, state, snapshot))}.values())

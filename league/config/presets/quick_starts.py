@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from agents.settings import Architecture
 from league.config.experiment import Config, default
 from league.config.sections import Budget, PlayerSettings
 from matchmaking.opponents import Opponents
@@ -19,6 +20,14 @@ def duel() -> Config:
     """1v1 rovers: twice as fast to simulate, and flat after half a minute."""
     config = default("sumo-1v1")
     return replace(config, league="duel", budget=Budget(training_time="2m", rating_time="1m"))
+
+
+def rovers() -> Config:
+    """2v2 rovers as in the quick start, with larger networks and a longer horizon, until stopped; for a GPU."""
+    config = default("sumo-2v2")
+    learner = replace(config.learner, architecture=Architecture((128, 128)), gamma=0.99)
+    training = replace(config.training, snapshots_per_doubling=2)
+    return replace(config, league="rovers", learner=learner, training=training)
 
 
 def selfplay() -> Config:

@@ -12,7 +12,6 @@ from league.queries.page.troubles import troubles
 from league.queries.query import Open, Shown, score_text
 from league.queries.ratings.evidence import short_evidence
 from league.queries.ratings.rating_rows import Row, side_text, unlike_sides
-from league.scheduling.progress_metrics import newest_snapshots
 from league.state.league_state import LeagueState
 from matchmaking.ratings.comparison import compare_snapshots
 
@@ -47,7 +46,7 @@ def _leads(facts: Facts) -> Card:
             lines = ["No rating match has been played yet; `league rate` plays some without training."]
         return Card("Who leads", "Not known yet", lines, links[:1])
     known = {row["name"] for row in facts.rows if row["rank"] is not None}
-    late = [s.name for s in newest_snapshots(facts.state) if s.name not in known]
+    late = [s.name for s in facts.state.newest_snapshots if s.name not in known]
     waiting = [f"Not rated yet: {', '.join(late[:3])}{_others(len(late) - 3)}."] if late else []
     answers, lines = zip(*found, strict=True)
     return Card("Who leads", "; ".join(answers), _first([*lines, *waiting]), links)

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from arenas.arena_settings import Table
+from arenas.contract.check import check_arena
+from arenas.contract.check_run import CheckRun
+from arenas.contract.checks import CHECKS
 from arenas.errors import ArenaError
 from arenas.games.disturbance import DisturbanceSettings
-from arenas.games.disturbance.settings import DisturbanceRules
+from arenas.games.disturbance.settings import DisturbanceRules, check_design, check_terrain
 from arenas.games.walk import RobotWalkSettings
 from arenas.robots.kinematics import HeightReader
 
@@ -164,6 +167,113 @@ def test_a_field_that_randomise_does_not_draw_is_told():
         )
 
 
+# The ground -----------------------------------------------------------------------------------------------------------
+
+
+HILLS = replace(
+    HOPPER, bodies=(), terrain=Table({"bumps": 0.1, "terraces": 0.3}),
+    design=Table({"friction": [0.5, 2.0], "terrain": ["flat", "terraces", "bumps"]}),
+)  # fmt: skip
+CHOICES = jnp.array([[0.0, -1.0], [0.0, 0.0], [0.0, 9.0]])  # the last is clipped
+
+
+@pytest.fixture(scope="module")
+def hills():
+    return built(HILLS)
+
+
+def dropped(arena, decisions=10):
+    """The worlds after some decisions, each on another field, where the hopper begins above the highest bump."""
+    reset, step, _ = compiled(arena)
+    state, bumps = reset(KEYS), arena.terrain.fields[0]
+    highest = 1.0 + 0.25 * float(bumps.heights[bumps.heights.shape[0] // 2].argmax())
+    over = state.physics.qpos.at[:, 0].set(highest).at[:, 1].add(0.3)
+    state = state._replace(physics=jax.vmap(arena.engine.make)(over, state.physics.qvel, state.physics.model))
+    found = []
+    for _ in range(decisions):
+        state = step(state, {"blue/0": jnp.zeros((3, 3)), "nature/0": CHOICES})
+        found.append(state)
+    return found
+
+
+def test_the_first_decision_puts_one_height_field_in_place(hills):
+    first = played(hills, 1, nature_0=CHOICES)[0]
+    bodies = [hills.scene.model.body(f"{name}/body").id for name in ("bumps", "terraces")]
+    heights = first.physics.model["body_pos"][:, jnp.array(bodies), 2]
+    np.testing.assert_allclose(heights, [[-100.0, -100.0], [-100.0, -0.01], [-0.01, -100.0]])
+    np.testing.assert_allclose(first.game.nature.factors[:, 1], [0.0, 1.0, 2.0])
+    _, step, restart = compiled(hills)
+    again = step(first, zeros(hills, nature_0=-CHOICES))
+    np.testing.assert_array_equal(again.physics.model["body_pos"], first.physics.model["body_pos"])
+    begun = restart(again, KEYS, jnp.array([False, False, True]))
+    np.testing.assert_allclose(begun.physics.model["body_pos"][2, jnp.array(bodies), 2], [-100.0, -100.0])
+
+
+def test_a_chosen_field_carries_the_walker(hills):
+    read = jax.vmap(lambda physics: hills._heights.read(physics.qpos).feet[0])  # above the flat ground
+    flat, terrace, bump = np.min([read(state.physics) for state in dropped(hills, 30)], axis=0)
+    assert flat < 0.01
+    assert terrace > 0.1
+    assert bump > flat + 0.015
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["jax", "warp"])
+def test_engines_agree_on_the_chosen_ground(name, hills):
+    other = built(HILLS, engine=name, worlds=3)
+    for one, found in zip(dropped(hills), dropped(other), strict=True):
+        np.testing.assert_allclose(found.physics.qpos, one.physics.qpos, atol=1e-5)
+        assert not found.void.any()
+
+
+def test_heights_are_above_the_ground_that_is_there(hills):
+    model, data = hills.scene.model, mujoco.MjData(hills.scene.model)
+    number, field = 2, hills.terrain.fields[1]
+    places = hills.terrain.placed(jnp.asarray(model.body_pos, jnp.float32), jnp.asarray(number))
+    before, model.body_pos[:] = model.body_pos.copy(), places
+    mujoco.mj_forward(model, data)
+    model.body_pos[:] = before
+    for x in np.linspace(0.5, 12.5, 13):
+        down = mujoco.mj_ray(
+            model, data, [x, 0.33, 5.0], [0.0, 0.0, -1.0], None, 1, model.body("blue/0/torso").id, np.zeros(1, np.int32)
+        )
+        at = jnp.array([x, 0.33])
+        assert float(field.height(at)) == pytest.approx(5.0 - down, abs=1e-5)
+        assert float(hills.terrain.height(places, at)) == float(field.height(at))
+
+
+def test_without_a_choice_each_episode_draws_its_ground():
+    arena = built(replace(HILLS, design=Table()))
+    keys = jax.random.split(jax.random.key(1), 60)
+    bodies = jnp.array([arena.scene.model.body(f"{name}/body").id for name in ("bumps", "terraces")])
+    places = jax.jit(jax.vmap(lambda key: arena.randomise(key)["body_pos"]))(keys)[:, bodies, 2]
+    there = np.asarray(places) > -1.0
+    assert (there.sum(axis=1) <= 1).all()
+    assert there.any(axis=0).all()
+    assert not there.any(axis=1).all()
+
+
+def test_the_chosen_ground_is_told_to_recordings(hills):
+    actions = {"blue/0": np.zeros(3), "nature/0": np.array([1.0, -0.2])}
+    assert hills.describe_design(actions) == "nature/0 sets friction 2, terrain terraces"
+    robot = hills.robots["nature/0"]
+    assert robot.designed(jnp.linspace(-1, 1, 7)[:, None] * jnp.ones(2))[:, 1].tolist() == [0, 0, 1, 1, 2, 2, 2]
+
+
+def test_a_walk_on_height_fields_keeps_the_contract(hills):
+    short = replace(HILLS, rules=replace(SHORT, episode=0.2))
+    assert [check for check in check_arena(built(short), short) if not check.ok] == []
+
+
+def test_a_design_that_sets_nothing_or_again_is_found(monkeypatch, hills):
+    run = CheckRun(hills, jax.random.key(0))
+    check = CHECKS["a first decision sets what its agent declares, and later ones nothing"]
+    assert check(run) == ""
+    monkeypatch.setattr(hills.terrain, "placed", lambda body_pos, number: body_pos)
+    told = "nature/0 sets terrain, and the world is the same with flat and bumps"
+    assert check(CheckRun(hills, jax.random.key(0))) == told
+
+
 # Settings -------------------------------------------------------------------------------------------------------------
 
 
@@ -178,6 +288,53 @@ def test_a_field_that_randomise_does_not_draw_is_told():
 def test_bodies_that_are_not_there_are_told_in_one_line(changed, message):
     with pytest.raises(ArenaError) as told:
         built(replace(HOPPER, **changed))
+    assert str(told.value) == message
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (
+            {"design": {"terrain": ["flat", "bumps"]}},
+            "design: terrain: the arena has no height field; give it some, terrain = {bumps = 0.1}",
+        ),
+        (
+            {"terrain": {"bumps": 0.1}, "design": {"terrain": ["flat", "pits"]}},
+            "design: terrain: 'pits' is none of the arena's: flat, bumps",
+        ),
+        (
+            {"terrain": {"bumps": 0.1}, "rules": DisturbanceRules(distance=101.0)},
+            "terrain: its height fields reach 100 m, and the goal is further away",
+        ),
+    ],
+)
+def test_ground_that_is_not_there_is_told_in_one_line(flags, message):
+    with pytest.raises(ValueError) as told:  # noqa: PT011
+        DisturbanceSettings(**{n: Table(v) if isinstance(v, dict) else v for n, v in flags.items()})
+    assert str(told.value) == message
+
+
+@pytest.mark.parametrize(
+    ("check", "table", "message"),
+    [
+        (check_terrain, {"pits": 0.1}, "'pits' is no height field: bumps, terraces, waves"),
+        (check_terrain, {"bumps": 2}, "bumps: 2 must be its greatest height, from 0.02 to 1 m"),
+        (check_terrain, {"bumps": True}, "bumps: True must be its greatest height, from 0.02 to 1 m"),
+        (
+            check_design,
+            {"terrain": ["flat"]},
+            "terrain: ['flat'] must be the names of two or more height fields, as [flat, bumps]",
+        ),
+        (
+            check_design,
+            {"terrain": [0, 1]},
+            "terrain: [0, 1] must be the names of two or more height fields, as [flat, bumps]",
+        ),
+    ],
+)
+def test_tables_of_the_ground_are_checked(check, table, message):
+    with pytest.raises(ValueError) as told:  # noqa: PT011
+        check(table)
     assert str(told.value) == message
 
 

@@ -39,6 +39,16 @@ def test_cells_are_the_corners_and_all_between():
     np.testing.assert_array_equal(grid_points(bounds, 1), [[0, 0]])
 
 
+def test_a_choice_has_a_cell_for_each_of_its_names():
+    hills = replace(
+        SETTINGS, terrain=Table({"bumps": 0.1}), design=Table({"friction": [0.5, 2.0], "terrain": ["flat", "bumps"]})
+    ).build(engine="c", threads=1, worlds=3 * 2 * EPISODES)
+    found = play_grid(hills, None, idle(hills), 3, EPISODES, seed=3)
+    assert found.labels == tuple({"friction": x, "terrain": y} for x in (0.5, 1.25, 2.0) for y in ("flat", "bumps"))
+    assert found.voids == 0
+    assert summarise(found.returns, found.labels).where in found.labels
+
+
 def test_a_cell_is_played_with_its_masses_from_the_same_seeds(arena):
     found = play_grid(arena, None, idle(arena), POINTS, EPISODES, seed=3)
     np.testing.assert_allclose(found.values, [[0.5, 0.5], [0.5, 8.0], [2.0, 0.5], [2.0, 8.0]])

@@ -6,7 +6,7 @@ import pytest
 
 from league.config.experiment import Budget
 from league.scheduling import match_scheduler
-from league.scheduling.lineups import complete
+from league.scheduling.match_scheduler import complete
 from matchmaking.ratings.ladder import Ladder
 from storage.records import Player, RankedMatch, Snapshot
 from tests.league.plans import KEY, league_state, pairs_of, snapshots, training

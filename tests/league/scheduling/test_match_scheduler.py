@@ -6,8 +6,8 @@ import pytest
 
 from league.config import experiment as configuration
 from league.scheduling import match_scheduler, turn_scheduler
+from league.scheduling.match_scheduler import CREDIT
 from league.scheduling.progress_metrics import initial_opponents, reference_opponents
-from league.scheduling.rating_budget import CREDIT
 from league.state.jobs import RatingMatch, decode
 from league.state.league_state import Batches, LeagueState
 from league.system.batch_sizes import RATING

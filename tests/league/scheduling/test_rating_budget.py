@@ -7,7 +7,7 @@ import pytest
 from league.commands.run.status import report
 from league.queries.league_status import describe_rating_share
 from league.queries.query import Open
-from league.scheduling.rating_budget import CREDIT, next_slot
+from league.scheduling.match_scheduler import CREDIT, next_slot
 from league.state.league_state import Batches, LeagueState
 from matchmaking.schedule import Schedule
 from storage.store import Store

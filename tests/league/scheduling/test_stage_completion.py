@@ -13,7 +13,7 @@ from league.config import presets
 from league.config.schema import ConfigError
 from league.config.sections import Budget
 from league.scheduling import curriculum, turn_scheduler
-from league.scheduling.stage_completion import best, handed_on, learnt_enough, rated, why
+from league.scheduling.training_progress import best, handed_on, learnt_enough, rated, why
 from league.snapshots import warm_start
 from league.snapshots.codec import freeze
 from league.snapshots.warm_start import Source, WarmStart

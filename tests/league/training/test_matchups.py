@@ -49,6 +49,17 @@ def test_without_past_opponents_all_worlds_are_one_group_and_teach_all(store, ar
     assert made.past_share("blue") == 0
 
 
+def test_opponents_are_named_group_by_group_and_those_that_rest_with_their_iteration(store, arena):
+    past = {"blue": (("", "idle"), ("", "random")), "red": (("pusher", ""),)}
+    iterations = {"blue": 7, "red": 9}
+    both = matchups(store, arena, turn(past=past), present=2)
+    assert both.opponents_of("blue", iterations) == ["red", "red", "idle", "random"]
+    assert both.opponents_of("red", iterations) == ["blue", "blue", "pusher"]
+    rests = matchups(store, arena, turn(("blue",), {"blue": past["blue"]}))
+    assert rests.opponents_of("blue", iterations) == ["red@9", "idle", "random"]
+    assert len(rests.opponents_of("blue", iterations)) * 33 == len(np.arange(rests.worlds)[rests.worlds_of("blue")])
+
+
 def test_each_learner_has_groups_of_its_own_and_learns_from_no_others(store, arena):
     past = {"blue": (("", "idle"), ("", "random")), "red": (("pusher", ""), ("idle", ""))}
     made = matchups(store, arena, turn(past=past), present=2)
