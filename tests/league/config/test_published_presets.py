@@ -53,11 +53,11 @@ def test_alphastars_has_exploiters_of_both_kinds_for_each_team():
     assert (league.reset_chance, league.opponents.weighting, league.meets) == (0.25, "linear_capped", None)
 
 
-@pytest.mark.parametrize(("name", "magnet"), [("kuhn-poker", 0.2), ("leduc-poker", 0.05)])
-def test_games_of_hidden_information_have_a_fixed_magnet_and_no_discount(name, magnet):
+@pytest.mark.parametrize(("name", "magnet"), [("kuhn-poker", (0.2, 20)), ("leduc-poker", (0.05, 0))])
+def test_games_of_hidden_information_have_a_magnet_and_no_discount(name, magnet):
     config = presets.preset(name)
     validate(config)
-    assert (config.learner.magnet_coef, config.learner.magnet_updates, config.learner.gamma) == (magnet, 0, 1.0)
+    assert (config.learner.magnet_coef, config.learner.magnet_updates, config.learner.gamma) == (*magnet, 1.0)
     assert (config.arena.name, config.training.opponents.kind) == (name, "latest")
     assert configuration.loads(f'preset = "{name}"\n') == config
 
