@@ -59,9 +59,15 @@ def claim(
 
 @lru_cache
 def _work_query(league: str, kinds: tuple[str, ...], max_attempts: int) -> Any:
+    """Return the query of `find_work`. It asks for the first job and not for any: to find any, PostgreSQL may walk
+    through the whole table, past all jobs that are done.
+    """
     c = t.jobs.c
     due, given_up = zip(*(_claim_conditions(league, kind, max_attempts) for kind in kinds), strict=True)
-    some = [sa.exists(sa.select(c.id).where(each)) for states in due for each in states]
+    first = [
+        sa.select(c.id).where(each).order_by(c.priority.desc(), c.id).limit(1) for states in due for each in states
+    ]
+    some = [each.scalar_subquery().is_not(None) for each in first]
     return sa.select(sa.or_(*some), sa.or_(*(sa.exists(sa.select(c.id).where(each)) for each in given_up)))
 
 
