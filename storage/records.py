@@ -10,6 +10,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
+TIMELINE = 1 << 40
+"""By so much the revision of a league grows when a standby of its database's server is promoted."""
+
 
 class ArenaKey(NamedTuple):
     """The conditions that make two matches comparable: the same game, the same rules and bodies, the same physics

@@ -13,6 +13,7 @@ from matchmaking.ratings.scores import Score
 from matchmaking.schedule import Schedule, phase_score
 from storage.records import (
     RATED_PURPOSES,
+    TIMELINE,
     ArenaKey,
     Checkpoint,
     CurvePoint,
@@ -93,8 +94,8 @@ class LeagueState:
         revision = store.revision(league)
         if before is not None and before.revision == revision and arena in (None, before.arena):
             return before
-        if before is None or revision < before.revision:  # less than before: a failover has lost the newest commits
-            before = cls()
+        if before is None or revision < before.revision or revision // TIMELINE != before.revision // TIMELINE:
+            before = cls()  # a failover may have lost what was read
         jobs, players = store.jobs(league, ("queued", "leased", "failed")), store.players(league)
         known = store.snapshot_count(league) == (
             len(before.snapshots),

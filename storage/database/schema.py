@@ -30,6 +30,25 @@ def _now_postgresql(*_: Any, **__: Any) -> str:
     return "CAST(extract(epoch from clock_timestamp()) AS double precision)"
 
 
+class timeline(FunctionElement[int]):  # noqa: N801
+    """Number of the server's history, which grows whenever a standby is promoted; 0 on a standby and on SQLite."""
+
+    type = sa.BigInteger()
+    inherit_cache = True
+
+
+@compiles(timeline, "sqlite")
+def _timeline_sqlite(*_: Any, **__: Any) -> str:
+    return "0"
+
+
+@compiles(timeline, "postgresql")
+def _timeline_postgresql(*_: Any, **__: Any) -> str:
+    # The first eight hexadecimal digits of the name of a file of its log.
+    digits = "left(pg_walfile_name(pg_current_wal_insert_lsn()), 8)"
+    return f"(CASE WHEN pg_is_in_recovery() THEN 0 ELSE CAST(CAST('x' || {digits} AS bit(32)) AS bigint) END)"
+
+
 class relaxed_durability(FunctionElement[Any]):  # noqa: N801
     """Expression for a statement's RETURNING that makes the commit not wait for the server's disk."""
 

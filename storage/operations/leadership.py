@@ -9,10 +9,10 @@ from storage.database import rows
 from storage.database import schema as t
 from storage.errors import UnknownName
 from storage.operations.base import StoreBase
-from storage.records import League, Run, Worker
+from storage.records import TIMELINE, League, Run, Worker
 
 # Queried several times a second, so built once.
-_REVISION = sa.select(t.leagues.c.revision).where(t.leagues.c.name == sa.bindparam("name"))
+_REVISION = sa.select(t.leagues.c.revision + t.timeline() * TIMELINE).where(t.leagues.c.name == sa.bindparam("name"))
 _STOP = sa.select(t.leagues.c.name).where(
     t.leagues.c.name == sa.bindparam("name"), t.leagues.c.stop_asked >= sa.bindparam("since")
 )
@@ -46,7 +46,8 @@ class Leadership(StoreBase):
     def revision(self, league: str) -> int:
         """Return a number that grows with every change that planning depends on. Raises UnknownName.
 
-        Such changes concern players, snapshots, checkpoints, phases, matches, jobs and stop requests. Heartbeats,
+        The promotion of a standby is one, by TIMELINE: it may have lost commits, and repeat their numbers with other
+        changes. Others concern players, snapshots, checkpoints, phases, matches, jobs and stop requests. Heartbeats,
         claims and renewals leave it as it is: planning treats a leased job like a queued one.
         """
         if found := self._db.rows(_REVISION, name=league):

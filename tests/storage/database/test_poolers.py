@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from storage.database import health
 from storage.errors import StorageError, Unavailable
 from storage.maintenance.verify import verify
-from storage.records import Job
+from storage.records import TIMELINE, Job
 from storage.store import Store
 from tests.faults.servers import Bouncer, Pair, Server, programs
 from tests.storage.conftest import fill, match
@@ -102,13 +102,15 @@ def test_a_store_of_two_hosts_goes_on_with_the_standby_that_is_promoted(folder: 
             claimed = store.claim("cup", ["any"], "me", 60)
             assert claimed
             store.finish(claimed[0], matches=[match(1)])
-            _await_copy(pair.standby, store.revision("cup"))
+            before = store.revision("cup")
+            _await_copy(pair.standby, before % TIMELINE)
             with Store.open(pair.standby.url("league"), blobs=folder / "two") as copy:
                 assert [m.seed for m in copy.matches("cup")] == [1]
                 with pytest.raises(Unavailable, match="takes no writes now: is it a standby"):
                     copy.queue([Job("cup", "any", "b")])
             pair.fail_over()
             assert [m.seed for m in store.matches("cup")] == [1]
+            assert store.revision("cup") == before + TIMELINE  # whoever has read the league before reads it again
             assert store.queue([Job("cup", "any", "b")]) == 1
         assert verify(f"postgresql://league@{hosts}/league", str(folder / "two")).rows > 3
     finally:
