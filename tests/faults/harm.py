@@ -12,6 +12,7 @@ from pathlib import Path
 
 from league.runtime.manager import LEASE as LEADS
 from league.system import exit_codes
+from storage.records import TIMELINE
 from storage.store import Store
 from tests.faults.hunted import LEAGUE, LEASE, ROOT, Hunted, Lost, findings, is_alive
 from tests.faults.servers import Bouncer, Line, Pair, Server
@@ -125,7 +126,8 @@ def fail_over(scene: Scene) -> Counter[str]:
     if scene.pool is not None:
         scene.pool.reload(scene.pair.primary.port)
     scene.hunted.direct = scene.pair.primary.url(LEAGUE)
-    return Counter({"failover": 1, "changes lost by the standby": max(0, before - scene.hunted.revision())})
+    lost = before % TIMELINE - scene.hunted.revision() % TIMELINE  # what has been done again since then is not counted
+    return Counter({"failover": 1, "changes that the standby lacked": max(0, lost)})
 
 
 def skewed_worker(scene: Scene) -> Counter[str]:
