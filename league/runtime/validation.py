@@ -294,7 +294,7 @@ def _validate_device(config: Config, arena: "Arena") -> None:
     """Raise ConfigError if this machine lacks the devices or the compiler, or the engine is not deterministic."""
     if config.training.device == "cuda" and not devices.torch_has_cuda():
         raise refuse(("training", "device"), "cuda", "torch sees no CUDA device here; use auto or cpu")
-    if 0 < (gpus := len(devices.gpus())) < config.training.devices:
+    if config.workers.train and 0 < (gpus := len(devices.gpus())) < config.training.devices:
         message = (
             f"the GPUs that may be used here are {gpus}, and no two processes of a turn share one; use {gpus} or less"
         )
