@@ -39,9 +39,11 @@ class WorkerOptions(Where):
     """With --ranks: how long a rank waits for the others."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError if ranks would not learn."""
+        """Raise ValueError if ranks would not learn, or would not wait for each other."""
         if self.ranks and "train" not in self.kinds:
             raise ValueError("kinds: with --ranks a worker learns, so they must have train")
+        if not seconds(self.ranks_limit):
+            raise ValueError("ranks_limit: must be longer than nothing")
 
 
 def worker(args: list[str]) -> int:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from league.training.trainer import Progress, Trainer
 
 MAKE, TURN, END = "make", "turn", "end"
+LAST_WORDS = 1.0  # seconds in which a rank that has ended may still be heard
 PARTING = 10.0  # seconds that rank 0 waits at the end until the others have heard of it
 REASONS: dict[str, Callable[[str], Exception]] = {"TooLarge": TooLarge, "Unavailable": Unavailable}
 """Errors of another rank that rank 0 raises as its own."""
@@ -63,7 +64,7 @@ class Ranks:
         found = error
         if isinstance(error, RuntimeError) and not isinstance(error, RankDied):
             with suppress(RuntimeError):  # the table of keys is gone too
-                found = self._left() or RankDied(f"the ranks have lost each other: {first_line(error)}")
+                found = self._last_words() or RankDied(f"the ranks have lost each other: {first_line(error)}")
         self.broken = self.broken or first_line(found)
         self._stopping.set()
         return found
@@ -78,6 +79,13 @@ class Ranks:
                 if time.monotonic() > deadline:
                     raise RankDied(f"rank {rank} of {self.comm.size} did not answer within {limit:g} s")
                 time.sleep(POLL)
+
+    def _last_words(self) -> Exception | None:
+        """Return the error for which a rank has left; its note may arrive after the end of its connections."""
+        deadline = time.monotonic() + LAST_WORDS
+        while (left := self._left()) is None and time.monotonic() < deadline:
+            time.sleep(POLL)
+        return left
 
     def _left(self) -> Exception | None:
         """Return the error for which a rank has left, if one has said so."""
