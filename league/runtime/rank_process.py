@@ -27,8 +27,8 @@ LAST_WORD = 10.0  # seconds in which a process that ends early may still release
 def work_as_rank(spec: WorkerSpec, place: Place, limit: float) -> None:
     """Work as one of the ranks until a stop, and end the process with one of the league's exit codes.
 
-    A SIGTERM or Ctrl-C at any rank has all of them finish the iteration. `limit` is in seconds: so long this rank waits
-    for the others. Raises RanksError, one line, if they do not come together.
+    A SIGTERM or Ctrl-C at any rank has all of them finish the iteration. A rank that gives no sign of life for as long as
+    a lease lasts is lost, and all end. `limit` is in seconds: so long this rank waits for the others. Raises RanksError, one line, if they do not come together.
     """
     devices.take(place.local_rank)
     environment.prepare()
@@ -69,7 +69,7 @@ def _work(spec: WorkerSpec, config: Config, meeting: Meeting) -> int:
             raise RanksError(reason, transient=True) from error
         if place.rank == 0:
             return _lead(Ranks(meeting, comm, stopping), spec, config, store, meeting, stopping)
-        watch = RankWatch(meeting, stopping, _end_at_once)
+        watch = RankWatch(meeting, stopping, _end_at_once, config.workers.lease)
         watch.start()
         follow(meeting, config, store, comm, watch.end)
         return exit_codes.DONE
@@ -90,7 +90,7 @@ def _lead(
             none_on_error(store.fail, lease, reason, config.workers.max_attempts)
         _end_at_once(reason)
 
-    watch = RankWatch(meeting, stopping, lost)
+    watch = RankWatch(meeting, stopping, lost, config.workers.lease)
     watch.start()
     worker.run()
     if not ranks.broken:

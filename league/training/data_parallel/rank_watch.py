@@ -7,7 +7,6 @@ from collections.abc import Callable
 from agents.devices.rendezvous import Meeting
 
 BEAT = 1.0  # seconds between two signs of life
-SILENT = 60.0  # seconds without one after which a rank counts as lost
 
 
 class RankWatch:
@@ -17,9 +16,7 @@ class RankWatch:
     vanished can block its thread for many minutes.
     """
 
-    def __init__(
-        self, meeting: Meeting, stopping: threading.Event, lost: Callable[[str], None], silent: float = SILENT
-    ):
+    def __init__(self, meeting: Meeting, stopping: threading.Event, lost: Callable[[str], None], silent: float):
         """Prepare the watch.
 
         Args:
