@@ -27,8 +27,9 @@ LAST_WORD = 10.0  # seconds in which a process that ends early may still release
 def work_as_rank(spec: WorkerSpec, place: Place, limit: float) -> None:
     """Work as one of the ranks until a stop, and end the process with one of the league's exit codes.
 
-    A SIGTERM or Ctrl-C at any rank has all of them finish the iteration. A rank that gives no sign of life for as long as
-    a lease lasts is lost, and all end. `limit` is in seconds: so long this rank waits for the others. Raises RanksError, one line, if they do not come together.
+    A SIGTERM or Ctrl-C at any rank has all of them finish the iteration. A rank that gives no sign of life for as long
+    as a lease lasts is lost, and all end. `limit` is in seconds: so long this rank waits for the others. Raises
+    RanksError, one line, if they do not come together.
     """
     devices.take(place.local_rank)
     environment.prepare()
