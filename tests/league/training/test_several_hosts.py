@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -18,15 +18,16 @@ from league.training.data_parallel.rank_watch import RankWatch
 from storage.store import Store
 from tests.faults.servers import free_port
 from tests.league.conftest import ENVIRONMENT, call, command, start, wait_for
+from tests.league.training.test_data_parallel import children
 
 LEAGUE = "hosts"
-TURNS = 10
+ITERATIONS = 60
 RUN = (
     "run", "--arena.name", "rock-paper-scissors", "--league", LEAGUE, "--seed", "3", "--training.worlds", "16",
     "--training.rollout_length", "8", "--training.iterations_per_turn", "4", "--training.devices", "2",
     "--training.device", "cpu", "--deterministic", "--workers.match", "0", "--budget.rating_time", "0s",
 )  # fmt: skip
-SHORT = ("--budget.steps", str(TURNS * 16 * 8))
+SHORT = ("--budget.steps", str(ITERATIONS * 16 * 8))
 ENDLESS = ("--budget.steps", str(10**9), "--training.iterations_per_turn", "100000")
 WORKER = ("worker", "--ranks", "--wait", "--league", LEAGUE)
 
@@ -214,7 +215,7 @@ def test_torchrun_trains_what_the_own_start_trains(undisturbed, tmp_path):
             runner.kill()
         assert manager.wait(60) == 0
     assert ends(tmp_path) == undisturbed
-    assert {each[:2] for each in undisturbed.values()} == {(TURNS, TURNS * 16 * 8)}
+    assert {each[:2] for each in undisturbed.values()} == {(ITERATIONS, ITERATIONS * 16 * 8)}
 
 
 @pytest.mark.slow
@@ -225,8 +226,6 @@ def test_a_killed_rank_ends_the_turn_which_is_done_again(undisturbed, tmp_path, 
             learning(tmp_path)
             both[1 - killed].send_signal(signal.SIGSTOP)  # then the other one waits for it within a turn
             time.sleep(1)
-            if manager.poll() is not None:
-                pytest.skip("the league was quicker")
             both[killed].kill()
             both[1 - killed].send_signal(signal.SIGCONT)
             assert codes(both)[1 - killed] == 75, said(tmp_path, 1 - killed)
@@ -234,6 +233,34 @@ def test_a_killed_rank_ends_the_turn_which_is_done_again(undisturbed, tmp_path, 
         with ranks(tmp_path, 0, 1) as both:
             assert codes(both) == [0, 0], said(tmp_path, 0) + said(tmp_path, 1)
         assert manager.wait(60) == 0
+    assert ends(tmp_path) == undisturbed
+
+
+def rank_of(pid: int) -> str | None:
+    """Return the rank of a process that torchrun has started."""
+    with suppress(OSError):
+        found = dict(each.split("=", 1) for each in Path(f"/proc/{pid}/environ").read_text().split("\0") if "=" in each)
+        return found.get("RANK")
+    return None
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are read from /proc")
+def test_torchrun_starts_all_ranks_again_when_one_is_killed(undisturbed, tmp_path):
+    with managed(tmp_path, *SHORT) as manager:
+        where = ("--master-addr", "127.0.0.1", "--master-port", str(free_port()))
+        runner = torchrun(tmp_path, "torchrun", "--nproc-per-node", "2", *where, "--max-restarts", "2")
+        try:
+            first = learning(tmp_path)
+            (second,) = [pid for pid in children(runner.pid) if rank_of(pid) == "1"]
+            os.kill(second, signal.SIGKILL)
+            assert runner.wait(240) == 0, (tmp_path / "torchrun.txt").read_text()
+            assert not Path(f"/proc/{first}").exists()
+        finally:
+            runner.kill()
+        assert manager.wait(60) == 0
+    with Store.open(tmp_path / "league-data") as store:
+        assert sum(job.failures for job in store.jobs(LEAGUE)) == 1
     assert ends(tmp_path) == undisturbed
 
 
