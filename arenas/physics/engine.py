@@ -30,7 +30,8 @@ DERIVED = KINEMATICS + DYNAMICS
 
 # Fields of the model that may differ between worlds, drawn at the start of an episode: all three engines read them in
 # every step. Constants that MuJoCo derives from them at compile time (inverse weights, which scale soft constraints)
-# keep the compiled model's values on all three; the mass of subtrees follows `body_mass`.
+# keep the compiled model's values on all three; the mass of subtrees follows `body_mass`. Warp reads `body_pos` of
+# bodies that can move alone: those fixed to the world stay where the compiled model has them.
 VARIABLE = (
     "geom_friction", "geom_solref", "body_mass", "body_inertia", "body_ipos", "body_pos", "dof_damping", "dof_armature",
     "jnt_stiffness", "actuator_gainprm", "actuator_biasprm",

@@ -1,8 +1,8 @@
 """Height fields: uneven ground, of which a scene may have several and each world has at most one in place.
 
 A height field is a body of its own, fixed to the world. Where it is not in place, `body_pos` puts it DEEP below the
-ground: all engines read that field of the model in every world, while what a geom shows (`geom_dataid`) differs between
-worlds in C and Warp alone.
+ground. C and MJX read that field of the model in every world and step, while what a geom shows (`geom_dataid`) is fixed
+in MJX when a step is compiled. Warp places bodies that are fixed to the world once for all, so it is refused.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
+from arenas.errors import EngineError
 from arenas.scene.props import Prop
 
 CELL = 0.25  # m between two points of a field
@@ -99,8 +100,13 @@ class HeightField:
 class Terrain:
     """The choice among a scene's height fields: number 0 is the flat ground, then the fields in their order."""
 
-    def __init__(self, model: mujoco.MjModel, fields: Sequence[HeightField]):
-        """Find the fields in a compiled scene that has their props."""
+    def __init__(self, model: mujoco.MjModel, fields: Sequence[HeightField], engine: str):
+        """Find the fields in a compiled scene that has their props.
+
+        Raises EngineError, one line, for an engine that cannot choose among them.
+        """
+        if fields and engine == "warp":
+            raise EngineError("engine warp cannot choose among height fields in each world: take engine c, or jax")
         self.fields = tuple(fields)
         self._bodies = np.array([model.body(f"{field.name}/body").id for field in self.fields], int)
 

@@ -91,6 +91,9 @@ class Config:
         if self.deterministic:
             self._check_deterministic()
         rating, training = self.rating, self.training
+        rules = [self.role(name).opponents for name in {p.role for p in self.players} | {MAIN.name}]
+        if not self.workers.match and any(rule is not None and rule.await_matches for rule in rules):
+            raise ValueError("training.opponents.await_matches: nobody plays the matches; give workers.match 1 or more")
         if rating.share == 0.0 and self.budget.by_rating:
             names = [n for n in ("success", "score", "plateau") if getattr(self.budget, n) is not None]
             why = f"where budget.{names[0]} is set, which is rated while training"

@@ -29,7 +29,7 @@ from league.scheduling import training_progress
 from league.scheduling.progress_metrics import can_meet, required_opponents
 from league.scheduling.training_progress import TrainingProgress
 from league.scheduling.turn_scheduler import Plan
-from league.state.jobs import RatingMatch, decode, encode
+from league.state.jobs import RatingMatch, decode, encode, failed_alone
 from league.state.league_state import Batches, LeagueState
 from league.system import batch_sizes
 from matchmaking.match_design import missing_pairs, others_after
@@ -61,11 +61,17 @@ class RatingTime(NamedTuple):
 
 
 def plan_rating(
-    config: Config, state: LeagueState, progress: TrainingProgress, training: bool, rating_time: RatingTime
+    config: Config,
+    state: LeagueState,
+    progress: TrainingProgress,
+    training: bool,
+    rating_time: RatingTime,
+    awaited: Sequence[tuple[str, str]] = (),
 ) -> tuple[Plan, RatingTime, bool]:
     """Return the next rating jobs with the phase of rating that begins or ends, its time, and whether it goes on.
 
-    `training`: a turn of training is open or queued now. The time for rating begins when there is none.
+    `training`: a turn of training is open, queued now, or waits for the `awaited` pairs to meet. The time for rating
+    begins when there is none.
     """
     phases = ()
     if training:
@@ -75,7 +81,7 @@ def plan_rating(
         rating_time = RatingTime.of(phases[0].until["seconds"])
     if rating_time.over() and not _awaits_first_match(config, state, rating_time):
         return Plan((), phases or (rating_over(config, state),)), rating_time, False
-    jobs = next_matches(config, state, progress).jobs if config.workers.match else ()
+    jobs = next_matches(config, state, progress, awaited).jobs if config.workers.match else ()
     return Plan(jobs, phases), rating_time, bool(jobs) or is_rating(state)
 
 
@@ -129,7 +135,10 @@ def rating_goes_on(config: Config, state: LeagueState) -> bool:
     return is_rating(state) or bool(next_matches(config, state).jobs)
 
 
-def next_matches(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
+def next_matches(
+    config: Config, state: LeagueState, progress: TrainingProgress | None = None,
+    awaited: Sequence[tuple[str, str]] = (),
+) -> Plan:  # fmt: skip
     """Return the next rating jobs, one for each rating process; none while one is open or all pairs have their quota.
 
     While players learn, each newest snapshot meets the newest snapshots of all other players, its reference opponents
@@ -139,13 +148,15 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
     `final_episodes_per_pair` episodes each. Lineups of a batch that was set aside are played one by one, and one that
     was set aside alone is not played again.
 
-    `progress` is the training progress of this planning pass, by default computed here.
+    `progress` is the training progress of this planning pass, by default computed here. `awaited` are pairs without
+    which a turn cannot begin (`turn_scheduler.next_turns`): they come before all others and are not booked, because
+    nobody learns meanwhile.
     """
     if is_rating(state) or not any(s.player for s in state.snapshots):
         return Plan()
     progress = progress or training_progress.measure(config, state)
     rating, due = config.rating, None
-    if progress.training:
+    if progress.training and not awaited:
         if config.deterministic and not config.budget.by_rating:
             return Plan()  # the training done when a batch is due depends on the clock
         due = next_slot(rating.share, progress.seconds, state.batches)
@@ -156,7 +167,7 @@ def next_matches(config: Config, state: LeagueState, progress: TrainingProgress 
         return Plan(tuple(rating_job(config, state, [lineup], due) for lineup in alone))
     each = batch_sizes.batch(rating, "cpu").pairings  # the manager's settings have the number of its own device
     room = each * max(1, config.workers.match)
-    wanted = _wanted(config, state, progress.finished, room + len(never))
+    wanted = complete(awaited, state) or _wanted(config, state, progress.finished, room + len(never))
     lineups = [lineup for lineup in wanted if lineup not in never][:room]
     batches = [lineups[i : i + each] for i in range(0, len(lineups), each)]
     return Plan(tuple(rating_job(config, state, batch, due) for batch in batches))
@@ -302,14 +313,12 @@ def _set_aside(state: LeagueState) -> tuple[list[Lineup], set[Lineup]]:
     A failed batch whose pairs have met since is ignored: the key of a new batch of them would differ.
     """
     together: dict[Lineup, None] = {}
-    never: set[Lineup] = set()
+    never = failed_alone(state.jobs)
     for job in state.jobs:
         if job.kind == RatingMatch.kind and job.state == "failed":
             task = decode(job)
             assert isinstance(task, RatingMatch)
-            if len(task.lineups) == 1:
-                never.add(task.lineups[0])
-            elif encode(job.league, task, _about(state, task.lineups)).key == job.key:
+            if len(task.lineups) > 1 and encode(job.league, task, _about(state, task.lineups)).key == job.key:
                 together |= dict.fromkeys(task.lineups)
     return [lineup for lineup in together if lineup not in never], never
 

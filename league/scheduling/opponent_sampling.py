@@ -117,7 +117,7 @@ def _by_ratings(
         why = f"normal law of the predicted score, σ = {opponents.sigma:.3g}"
         return gaussian(read, opponents.sigma), read, "predicted score", why
     if opponents.kind == "nash":
-        own = [s for s in state.snapshots if s.player in _players(state, learner.team)]
+        own = _own(state, learner)
         past, value = nash(-_payoffs(opponents, state, own, pool).T)
         read = _payoffs(opponents, state, state.history(learner.name)[-1:], pool)[0]
         why = f"their Nash mixture against all snapshots of {learner.name}'s team, who score {-value:.3f} at best"
@@ -125,6 +125,26 @@ def _by_ratings(
     table = _payoffs(opponents, state, pool, pool)
     why = f"their α-rank mass, α = {opponents.alpha:g}"
     return alpharank(table, opponents.alpha).mass, table.mean(1), "mean payoff among them", why
+
+
+def table_pairs(
+    opponents: Opponents, state: LeagueState, learner: Player, team: int, role: Role
+) -> list[tuple[str, str]]:
+    """Return the pairs of a learner's payoff table for its opponents in another team, newest first.
+
+    Only snapshots that still have their policy, and nothing for a rule without such a table.
+    """
+    if opponents.kind not in ("nash", "alpharank"):
+        return []
+    pool = met_in(role, opponents, state, team)
+    rows = [s for s in _own(state, learner) if s.thinned is None] if opponents.kind == "nash" else pool
+    pairs = sorted(((a, b) for a in rows for b in pool), key=lambda pair: -max(s.iteration for s in pair))
+    return [(a.name, b.name) for a, b in pairs if a.name != b.name]
+
+
+def _own(state: LeagueState, learner: Player) -> list[Snapshot]:
+    """Return all snapshots of the players of a learner's team: the rows of its payoff table."""
+    return [s for s in state.snapshots if s.player in _players(state, learner.team)]
 
 
 def records(opponents: Opponents, state: LeagueState, learner: Player, since: int = -1) -> WinRecords:

@@ -29,7 +29,7 @@ def plan(config: Config, state: LeagueState, rating_time: RatingTime) -> Planned
     """Return the league's next jobs; the time for rating begins with the end of training."""
     progress = measure(config, state)
     turns = next_turns(config, state, progress)
-    training = bool(turns.jobs) or bool(progress.open)
-    matches, rating_time, rating = plan_rating(config, state, progress, training, rating_time)
+    training = bool(turns.jobs or turns.awaited or progress.open)
+    matches, rating_time, rating = plan_rating(config, state, progress, training, rating_time, turns.awaited)
     activity = "training" if training else "rating" if rating else "done"
     return Planned([*turns.jobs, *matches.jobs], [*turns.phases, *matches.phases], activity, rating_time)

@@ -12,10 +12,10 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
-from league.scheduling.opponent_sampling import opponent_distribution
+from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
-from league.state.jobs import TrainingTurn, encode
+from league.state.jobs import TrainingTurn, encode, failed_alone
 from league.state.league_state import LeagueState
 from matchmaking.schedule import next_due
 from storage.records import Job, Phase, Player
@@ -26,21 +26,30 @@ Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it w
 
 @dataclass(frozen=True)
 class Plan:
-    """Jobs to queue, and the phases of schedules that they belong to."""
+    """Jobs to queue, the phases of schedules that they belong to, and the pairs without
+    whose matches a turn cannot begin.
+    """
 
     jobs: tuple[Job, ...] = ()
     phases: tuple[Phase, ...] = ()
+    awaited: tuple[tuple[str, str], ...] = ()
 
 
 def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | None = None) -> Plan:
     """Return a turn for every group that has none open and is not finished; the first turn only makes the players.
 
+    A group whose opponents are drawn from a payoff table that is to be complete has no turn until it is: the pairs
+    that have to meet are in the plan.
+
     `progress` is the training progress of this planning pass, by default computed here.
     """
     progress = progress or training_progress.measure(config, state)
-    jobs, phases = [], []
+    jobs, phases, awaited = [], [], dict[tuple[str, str], None]()
     for name in _next_groups(config, progress):
         group = progress.groups[name]
+        if missing := _awaited(config, state, group):
+            awaited |= dict.fromkeys(missing)
+            continue
         turn = (
             _first_turn(state, name, group) if group.phase is None else _turn(config, state, name, group, group.phase)
         )
@@ -48,7 +57,26 @@ def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | 
         about = [name, turn.phase, turn.learners, turn.iterations, dict(turn.bases), turn.retry]
         jobs.append(encode(config.league, turn, about, priority=1))
         phases += [group.phase] if group.phase is not None else []
-    return Plan(tuple(jobs), tuple(phases))
+    return Plan(tuple(jobs), tuple(phases), tuple(awaited))
+
+
+def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[tuple[str, str]]:
+    """Return the pairs that have to meet before a group's next turn; none if its rules do not wait for matches.
+
+    A pair in a match that was set aside for good is not awaited.
+    """
+    missing: dict[frozenset[str], tuple[str, str]] = {}
+    payoff, quota = state.ladder.payoff, config.rating.episodes_per_pair
+    for learner in group.learners:
+        rule = learner.role.opponents
+        if rule is None or not rule.await_matches:
+            continue
+        for team in {p.team for p in state.players} - {learner.player.team}:
+            for a, b in table_pairs(rule, state, learner.player, team, learner.role):
+                if payoff.episodes[payoff.index(a), payoff.index(b)] < quota:
+                    missing.setdefault(frozenset((a, b)), (a, b))
+    never = [set(lineup) for lineup in failed_alone(state.jobs)] if missing else []
+    return [pair for pair in missing.values() if not any({*pair} <= lineup for lineup in never)]
 
 
 def _next_groups(config: Config, progress: TrainingProgress) -> list[str]:

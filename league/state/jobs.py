@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -95,6 +95,12 @@ def references(job: Job) -> list[tuple[str, str]]:
     players = (*task.learners, *task.present, *task.bases)
     past = (name for groups in task.past.values() for seats in groups for name in seats)
     return [*(("players", name) for name in players if name), *(("snapshots", name) for name in past if name)]
+
+
+def failed_alone(jobs: Sequence[Job]) -> set[tuple[str | None, ...]]:
+    """Return the lineups whose match was set aside although it was a job of its own: they are not played again."""
+    tasks = [decode(job) for job in jobs if job.kind == RatingMatch.kind and job.state == "failed"]
+    return {each.lineups[0] for each in tasks if isinstance(each, RatingMatch) and len(each.lineups) == 1}
 
 
 def _as_tuples(value: Any) -> Any:

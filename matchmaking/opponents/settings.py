@@ -19,6 +19,7 @@ USED_BY: Mapping[str, tuple[str, ...]] = {
     "delta": ("delta_uniform",), "weighting": ("pfsp",), "rate": ("openai_five",), "mix": ("alphastar",),
     "sigma": ("gaussian",), "alpha": ("alpharank",), "victim": ("fixed",),
     "decay": ("pfsp", "alphastar", "exploit"), "shrinkage": ("pfsp", "alphastar", "exploit", "nash", "alpharank"),
+    "await_matches": ("nash", "alpharank"),
 }  # fmt: skip
 """Rules that read a setting. With another rule the setting would have no effect, and is refused."""
 
@@ -74,6 +75,11 @@ class Opponents:
 
     shrinkage: float = SHRINKAGE
     """Virtual draws at the start of win rates and payoffs: they stay near one half until there are enough games."""
+
+    await_matches: bool = False
+    """For nash and alpharank: begin a turn only when all pairs of the payoff table have met for
+    rating.episodes_per_pair episodes, as in PSRO. Training waits for these matches, whatever rating.share is. Otherwise
+    pairs that have not met count as even."""
 
     groups: int = 8
     """Equal groups of a learner's worlds, including those with present opponents; each other group meets one

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from arenas.arena_settings import EngineOptions, Solver
+from arenas.arena_settings import EngineOptions
 from arenas.description import Legend, Part
 from arenas.errors import ArenaError
 from arenas.games.disturbance.settings import BASE, FLAT, FRICTION, NATURE, TERRAIN, DisturbanceSettings
@@ -34,7 +34,6 @@ from arenas.scene.height_fields import HeightField, Terrain
 from arenas.state import Verdict
 
 GROUND = 0x6772  # folded into an episode's key for its ground
-FIELD_ROOM = Solver(contacts=24, rows=96)  # in Warp's buffers, for a robot on a height field
 GRAVITY = 9.81  # m/s²
 SIDES = jnp.array([1.0, -1.0])  # the walker's gain is nature's loss
 
@@ -67,11 +66,9 @@ class Disturbance(RobotWalk):
         if self.bounds:
             nature.append(designer(self.bounds))
         fields = [HeightField.of(name, float(x), settings.rules.distance) for name, x in settings.terrain.items()]
-        super().__init__(
-            settings, {NATURE: nature} if nature else {}, [field.prop() for field in fields],
-            FIELD_ROOM if fields else None, **options,
-        )  # fmt: skip
-        self.terrain = Terrain(self.scene.model, fields)
+        props = [field.prop() for field in fields]
+        super().__init__(settings, {NATURE: nature} if nature else {}, props, **options)
+        self.terrain = Terrain(self.scene.model, fields, self.engine.name)
         self._flat = jnp.asarray(self.scene.model.body_pos, jnp.float32)
         self.cost, self._ahead = self.weights.pop("force"), settings.rules.distance
         self.alone = not nature

@@ -33,15 +33,12 @@ class RobotWalk(Walk):
         settings: RobotWalkSettings,
         others: Mapping[str, Sequence[Robot]] | None = None,
         props: Sequence[Prop] = (),
-        spare: Solver | None = None,
         **options: Unpack[EngineOptions],
     ):
-        """Build the walk; `others` and `props` are those of `Walk`, `spare` the room that props need in buffers."""
+        """Build the walk; `others` and `props` are those of `Walk`."""
         name = settings.blue[0]
-        robot, room, more = walker_of(name), kind_of(name), spare or Solver(contacts=0, rows=0)
-        solver = Solver(
-            contacts=SPARE_CONTACTS + room.contacts + more.contacts, rows=SPARE_ROWS + room.rows + more.rows
-        )
+        robot, room = walker_of(name), kind_of(name)
+        solver = Solver(contacts=SPARE_CONTACTS + room.contacts, rows=SPARE_ROWS + room.rows)
         super().__init__(settings, observation(robot, settings.buffer), robot, solver, others, props, **options)
         feet = [f"{WALKER}/{foot}" for foot in robot.feet]
         self._heights = HeightReader(self.scene.model, self._at.base, feet)

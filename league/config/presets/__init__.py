@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Callable, Mapping
 
 from league.config.experiment import Config
-from league.config.presets import harl_a, over_skills, quick_starts, related_work, team_games
+from league.config.presets import harl_a, hidden_information, over_skills, quick_starts, related_work, team_games
 from league.config.schema import ConfigError
 
 PRESETS: Mapping[str, Callable[[], Config]] = {
@@ -18,6 +18,8 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "psro": quick_starts.psro,
     "openai-five": quick_starts.openai_five,
     "delta-uniform": quick_starts.delta_uniform,
+    "kuhn-poker": hidden_information.kuhn_poker,
+    "leduc-poker": hidden_information.leduc_poker,
     "harl_a": harl_a.harl_a,
     "walk": harl_a.walk,
     "sumo-by-team": harl_a.by_team,

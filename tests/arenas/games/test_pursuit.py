@@ -13,6 +13,7 @@ from arenas.games.pursuit import PursuitReward, PursuitRules, PursuitSettings
 from arenas.games.pursuit.match import GameState, Pursuit
 from league.config import experiment
 from league.config.schema import ConfigError
+from tests.arenas.hooks import judging, observing
 from tests.arenas.placing import put
 
 REACH = 0.075 + 0.05  # m
@@ -32,7 +33,7 @@ def few() -> Pursuit:
 
 def judged(arena: Pursuit, sample_places, game, time=1.0, before=None):
     now = put(arena, sample_places, time)
-    return arena.judge(put(arena, before, time) if before else now, now, game)
+    return judging(arena)(put(arena, before, time) if before else now, now, game)
 
 
 # Who wins -------------------------------------------------------------------------------------------------------------
@@ -106,7 +107,7 @@ def test_a_predator_sees_maddpgs_layout_and_the_clock(chase):
     sample_places |= {"pillar-0": (0.6, 0.6), "pillar-1": (0.0, 0.0)}
     moving = {"predators/0": (0.3, 0.0), "predators/1": (9.0, 9.0), "prey/0": (0.0, 1.0)}
     physics = put(chase, sample_places, time=2.5, moving=moving)
-    seen = chase.observe(physics, FREE, {})
+    seen = observing(chase)(physics, FREE, {})
     predator = [0.3, 0, 0.1, 0.2, 0.5, 0.4, -0.1, -0.2, 0.4, 0, 0, -0.5, -0.5, 0, 0, 1.0, 0.25]
     np.testing.assert_allclose(seen["predators/0"], predator, atol=1e-6)
     prey = [0, 1.0, -0.4, 0.2, 1.0, 0.4, 0.4, -0.2, 0.5, 0, 0.9, 0, 0.5, -0.5, 0.25]  # not how predators move
@@ -116,14 +117,14 @@ def test_a_predator_sees_maddpgs_layout_and_the_clock(chase):
 def test_who_is_caught_is_seen_by_nobody_and_is_out_of_the_game(few):
     physics = put(few, {"predators/0": (0.0, 0.0), "prey/0": (0.4, 0.0), "prey/1": (0.0, 0.7)})
     assert few.alive(physics, HALF).tolist() == [True, True, True, False]
-    seen = few.observation_builder.read(few.observe(physics, HALF, {})["predators/0"], False)
+    seen = few.observation_builder.read(observing(few)(physics, HALF, {})["predators/0"], False)
     np.testing.assert_allclose(seen.prey, [[0.4, 0.0], [0.0, 0.0]], atol=1e-6)
-    assert few.observation_builder.read(few.observe(physics, HALF, {})["prey/0"], True).prey.tolist() == [[0.0, 0.0]]
+    assert few.observation_builder.read(observing(few)(physics, HALF, {})["prey/0"], True).prey.tolist() == [[0.0, 0.0]]
 
 
 def test_an_observation_is_read_as_it_was_written(few):
     physics = put(few, {}, moving={"prey/1": (0.5, -0.5)})
-    seen = few.observation_builder.read(few.observe(physics, GameState(jnp.array([True, True])), {})["prey/0"], True)
+    seen = few.observation_builder.read(observing(few)(physics, GameState(jnp.array([True, True])), {})["prey/0"], True)
     xy = np.asarray(physics.qpos[few._xy])
     np.testing.assert_allclose(seen.position, xy[2])
     np.testing.assert_allclose(seen.predators, xy[:2] - xy[2])

@@ -21,6 +21,7 @@ from arenas.games.race.settings import RaceReward, RaceRules, RaceSettings
 from arenas.games.race.tracks import TRACKS, Gate, Wall
 from arenas.physics.engine import Physics
 from arenas.state import mean_pairwise_score
+from tests.arenas.hooks import judging, observing
 
 STEP = 0.02  # s, a control step
 FLOATS = np.array([[-4.0, 7.0, 1.5], [4.0, -7.0, 1.5], [-4.0, -7.0, 1.5], [4.0, 7.0, 1.5]])  # m, far from all gates
@@ -53,7 +54,7 @@ def state(
     """The same for each drone, or (drones,)."""
 
     def each(value, dtype):
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (arena.number,))
+        return jnp.asarray(np.broadcast_to(np.asarray(value, dtype), (arena.number,)))
 
     return GameState(
         jnp.int32(gate), each(passed, jnp.int32), each(moments, jnp.float32), each(contacts, jnp.int32),
@@ -62,7 +63,7 @@ def state(
 
 
 def judged(arena, game, before, after, time=2.0, rates=None):
-    return arena.judge(at(arena, before, time - STEP), at(arena, after, time, rates), game)
+    return judging(arena)(at(arena, before, time - STEP), at(arena, after, time, rates), game)
 
 
 # Gates. That of number 4 stands at (1, -1, 2), half a metre to all sides, and is passed towards +x. -------------------
@@ -257,7 +258,7 @@ def test_places_for_drones_that_do_not_race_are_zeros():
     four = replace(RaceSettings(), teams=4).build(engine="c", worlds=1)
     alone = RaceSettings(teams=1).build(engine="c", worlds=1)
     assert roomy.observation_size("blue/0") == four.observation_size("blue/0")
-    seen, own = (np.asarray(arena.reset(jax.random.key(0)).observations["blue/0"]) for arena in (roomy, alone))
+    seen, own = (np.asarray(jax.jit(arena.reset)(jax.random.key(0)).observations["blue/0"]) for arena in (roomy, alone))
     assert (seen[: len(own)] == own).all()
     assert not seen[len(own) :].any()
 
@@ -281,7 +282,7 @@ def test_a_drone_sees_its_next_gates_and_the_other_in_its_own_frame(duel):
     moving[6:9] = (1.0, 0.0, 0.0)
     physics = physics._replace(qpos=jnp.asarray(turned), qvel=jnp.asarray(moving))
     game = state(duel, passed=(0, 2), contacts=(25, 0))
-    seen = duel.observe(physics, game, {name: jnp.zeros(4) for name in duel.robots})["blue/0"]
+    seen = observing(duel)(physics, game, {name: jnp.zeros(4) for name in duel.robots})["blue/0"]
     np.testing.assert_allclose(seen[9:12], [0, -1, 0], atol=1e-6)
     np.testing.assert_allclose(seen[12:18], [0, -1, 2, 0, 0.25, 2 / 30], atol=1e-6)
     wanted = [[0.5, -1, 0.5], [-0.5, -1, 0.5], [-0.5, -1, -0.5], [0.5, -1, -0.5]]
@@ -289,7 +290,9 @@ def test_a_drone_sees_its_next_gates_and_the_other_in_its_own_frame(duel):
     np.testing.assert_allclose(seen[42:], [2, 0, 0, 0, -1, 0, 2, 1], atol=1e-6)
     (others,) = duel.observation_entities("blue/0")
     assert others.places == (tuple(range(42, 50)),)
-    gone = duel.observe(physics, game._replace(flying=jnp.array([True, False])), {n: jnp.zeros(4) for n in duel.robots})
+    gone = observing(duel)(
+        physics, game._replace(flying=jnp.array([True, False])), {n: jnp.zeros(4) for n in duel.robots}
+    )
     np.testing.assert_allclose(gone["blue/0"][42:], [0, 0, 0, 0, 0, 0, 2, 0])
 
 

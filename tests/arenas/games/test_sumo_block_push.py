@@ -17,6 +17,7 @@ from arenas.physics.engine import Physics
 from arenas.robots.anymal import REST_HEIGHT
 from arenas.robots.leatherback import WHEEL_RADIUS
 from tests.arenas.conftest import Worlds
+from tests.arenas.hooks import judging, observing
 
 DT = 0.02  # s
 RING = GameState(jnp.asarray(3.0))
@@ -48,7 +49,7 @@ def put(arena, robots=IN[0], blocks=IN[1], time=1.0, heading=(0.0, 0.0), height=
 
 
 def judge(arena, before, after):
-    return arena.judge(before, after, RING)[1]
+    return judging(arena)(before, after, RING)[1]
 
 
 # Ends -----------------------------------------------------------------------------------------------------------------
@@ -165,7 +166,7 @@ def test_slots_are_the_own_block_the_other_robot_and_its_block(rovers, anymals):
     """Blue looks along +y, from (1, 0.5); red along +x, from (-1, -0.5)."""
     for arena, first in ((rovers, 0), (anymals, 45)):
         actions = {agent: jnp.zeros(arena.robot.action_size) for agent in AGENTS}
-        seen = arena.observe(put(arena, heading=(math.pi / 2, 0.0)), RING, actions)
+        seen = observing(arena)(put(arena, heading=(math.pi / 2, 0.0)), RING, actions)
         h = arena.robot.rest_height
         blue, red = (np.asarray(seen[agent])[first:] for agent in AGENTS)
         np.testing.assert_allclose(blue[:9], [1.0, 0.5, 0.2 - h, -1.0, 2.0, 0.0, -2.0, 1.5, 0.2 - h], atol=1e-5)
@@ -177,7 +178,7 @@ def test_slots_are_the_own_block_the_other_robot_and_its_block(rovers, anymals):
 
 def test_a_buffer_is_zeros_at_the_end():
     arena = BlockPushSettings(buffer=50).build(engine="c")
-    seen = arena.observe(put(arena), RING, {agent: jnp.ones(12) for agent in AGENTS})["red/0"]
+    seen = observing(arena)(put(arena), RING, {agent: jnp.ones(12) for agent in AGENTS})["red/0"]
     assert seen.shape == (106,)
     assert seen[55] == 3.0
     np.testing.assert_array_equal(seen[56:], 0.0)

@@ -15,6 +15,7 @@ from arenas.games.sumo.stages import PAPER_WALK, WalkReward, WalkRules, WalkSett
 from arenas.games.sumo.walk import GameState, Walk
 from arenas.games.terms import weights_of
 from arenas.physics.engine import Physics
+from tests.arenas.hooks import judging, observing
 
 DT = 0.02  # s
 STILL = jnp.zeros(12)
@@ -55,7 +56,7 @@ def game(goal=(6.0, 0.0), action=STILL, last=STILL, air=(0.0,) * 4):
 
 
 def terms(walk, before, after, played):
-    return {name: float(value[0]) for name, value in walk.judge(before, after, played)[1].rewards.items()}
+    return {name: float(value[0]) for name, value in judging(walk)(before, after, played)[1].rewards.items()}
 
 
 # Above the ground -----------------------------------------------------------------------------------------------------
@@ -155,13 +156,13 @@ def test_a_foot_that_lands_is_paid_for_its_time_in_the_air(walk, put):
     """Feet are 1 mm up at 0.55 m. All are lifted for 0.7 s and land; then they stay."""
     up, down = put(height=0.60), put(height=0.548)
     played = game(air=(0.68, 0.68, 0.0, 0.38))
-    played, verdict = walk.judge(up, up, played)
+    played, verdict = judging(walk)(up, up, played)
     np.testing.assert_allclose(played.air, [0.70, 0.70, 0.02, 0.40], rtol=1e-5)
     assert verdict.rewards["air_time"] == 0.0
-    played, verdict = walk.judge(up, down, played)
+    played, verdict = judging(walk)(up, down, played)
     assert float(verdict.rewards["air_time"][0]) == pytest.approx(DT * (0.2 + 0.2 - 0.48 - 0.1), rel=1e-3)
     np.testing.assert_array_equal(played.air, 0.0)
-    played, verdict = walk.judge(down, down, played)
+    played, verdict = judging(walk)(down, down, played)
     assert verdict.rewards["air_time"] == 0.0
 
 
@@ -202,7 +203,7 @@ def test_weights_are_settings_and_the_papers_are_known(put):
 def test_success_is_to_arrive_and_the_clock_only_cuts(walk, put, state, score, terminated, truncated):
     joints = [0.0] * 4 + [1.5, -1.5] * 2 + [-2.5, 2.5] * 2 if "height" in state else None  # legs drawn in
     after = put(joints=joints, **state)
-    verdict = walk.judge(put(), after, game())[1]
+    verdict = judging(walk)(put(), after, game())[1]
     assert (bool(verdict.terminated), bool(verdict.truncated)) == (terminated, truncated)
     if terminated or truncated:
         np.testing.assert_array_equal(verdict.score, [score])
@@ -213,7 +214,7 @@ def test_success_is_to_arrive_and_the_clock_only_cuts(walk, put, state, score, t
 def test_as_in_the_paper_lying_on_the_side_is_no_fall(put):
     paper = WalkSettings(rules=WalkRules(fall_up=-1.0)).build(engine="c")
     side = put(height=0.3, quat=ON_SIDE)
-    assert not paper.judge(side, side, game())[1].terminated
+    assert not judging(paper)(side, side, game())[1].terminated
 
 
 # Start and sight ------------------------------------------------------------------------------------------------------
@@ -245,7 +246,7 @@ def test_start_and_goal_are_rules():
 @pytest.mark.parametrize("buffer", [0, 50])
 def test_it_sees_the_goal_in_slot_a_and_zeros(put, buffer):
     arena = WalkSettings(buffer=buffer).build(engine="c")
-    seen = arena.observe(put(x=1.0, y=2.0, heading=math.pi / 2), game(goal=(4.0, 4.0)), {"blue/0": STILL + 0.3})
+    seen = observing(arena)(put(x=1.0, y=2.0, heading=math.pi / 2), game(goal=(4.0, 4.0)), {"blue/0": STILL + 0.3})
     seen = np.asarray(seen["blue/0"])
     assert seen.shape == (56 + buffer,) == (arena.observation_size("blue/0"),)
     np.testing.assert_allclose(seen[33:45], 0.3, rtol=1e-6)

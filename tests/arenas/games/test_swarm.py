@@ -12,6 +12,7 @@ from arenas.contract.check_run import WORLDS
 from arenas.games.pursuit.swarm.match import GameState, Swarm
 from arenas.games.pursuit.swarm.observation import read
 from arenas.games.pursuit.swarm.settings import SwarmReward, SwarmRules, SwarmSettings
+from tests.arenas.hooks import judging, observing
 from tests.arenas.placing import put
 
 SMALL = SwarmSettings(pucks=3, rovers=1)  # two must reach the zone of 0.8 m; the rover reaches 0.5 m
@@ -29,7 +30,7 @@ def state(free=(True, True, True), through=(False, False, False)) -> GameState:
 
 def judged(arena, game, places, time=2.0, before=None):
     now = put(arena, {**APART, **places}, time)
-    return arena.judge(put(arena, {**APART, **before}, time) if before else now, now, game)
+    return judging(arena)(put(arena, {**APART, **before}, time) if before else now, now, game)
 
 
 @pytest.mark.parametrize(("gap", "caught"), [(0.499, True), (0.501, False)])
@@ -92,7 +93,7 @@ def test_metres_nearer_to_the_zone_are_a_hint_mean_over_the_pucks_in_the_game(sw
 
 def seen(arena, places, game):
     physics = put(arena, {**APART, **places})
-    return arena.observe(physics, game, {name: jnp.zeros(2) for name in arena.robots})
+    return observing(arena)(physics, game, {name: jnp.zeros(2) for name in arena.robots})
 
 
 def test_others_are_seen_in_blocks_with_a_flag_and_zeros_once_they_are_out(swarm):
@@ -120,7 +121,7 @@ def test_a_rover_sees_in_its_own_heading(swarm):
     physics = put(swarm, APART)
     at = swarm.scene.agents["guards/0"].qpos
     physics = physics._replace(qpos=physics.qpos.at[at + 3 : at + 7].set(jnp.sqrt(jnp.array([0.5, 0, 0, 0.5]))))
-    found = swarm.observe(physics, state(), {name: jnp.zeros(2) for name in swarm.robots})["guards/0"]
+    found = observing(swarm)(physics, state(), {name: jnp.zeros(2) for name in swarm.robots})["guards/0"]
     np.testing.assert_allclose(found[2:4], [3, 0], atol=1e-5)  # the zone is to the north, which is ahead
     np.testing.assert_allclose(found[7:9], [0, 1], atol=1e-6)
     np.testing.assert_allclose(read(found, "leatherback", SMALL).pucks[0], [3, -3, 0, 0, 1], atol=1e-5)

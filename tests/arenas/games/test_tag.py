@@ -13,6 +13,7 @@ from arenas.games.tag.match import GameState, Tag
 from arenas.games.tag.observation import observe, read
 from arenas.games.tag.settings import TagRules, TagSettings
 from arenas.state import mean_pairwise_score
+from tests.arenas.hooks import judging
 from tests.arenas.placing import put
 
 TOUCH = 2 * 0.1 + 0.03  # m, between middles
@@ -31,7 +32,7 @@ def state(it=0, held=(0, 0, 0), counts_from=1.0) -> GameState:
 
 def judged(arena, game, places=APART, time=2.0, before=None):
     now = put(arena, places, time)
-    return arena.judge(put(arena, before, time) if before else now, now, game)
+    return judging(arena)(put(arena, before, time) if before else now, now, game)
 
 
 # Who is it ------------------------------------------------------------------------------------------------------------

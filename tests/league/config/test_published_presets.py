@@ -9,7 +9,7 @@ from league.commands.run.status import status
 from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
-from league.runtime.validation import _validate_groups, roster
+from league.runtime.validation import _validate_groups, roster, validate
 from storage.store import Store
 from tests.league.conftest import call
 
@@ -51,6 +51,15 @@ def test_alphastars_has_exploiters_of_both_kinds_for_each_team():
         ("main",),
     )
     assert (league.reset_chance, league.opponents.weighting, league.meets) == (0.25, "linear_capped", None)
+
+
+@pytest.mark.parametrize(("name", "magnet"), [("kuhn-poker", (0.2, 20)), ("leduc-poker", (0.05, 0))])
+def test_games_of_hidden_information_have_a_magnet_and_no_discount(name, magnet):
+    config = presets.preset(name)
+    validate(config)
+    assert (config.learner.magnet_coef, config.learner.magnet_updates, config.learner.gamma) == (*magnet, 1.0)
+    assert (config.arena.name, config.training.opponents.kind) == (name, "latest")
+    assert configuration.loads(f'preset = "{name}"\n') == config
 
 
 def test_a_preset_that_is_not_there_is_told_with_its_line():

@@ -72,10 +72,11 @@ def kill_manager(run, folder, *held):
 
 
 @pytest.mark.slow  # about half a minute of two cores each
-@pytest.mark.usefixtures("optimised_runs")
 @pytest.mark.parametrize("run", [TWO, HUNTED], ids=["physics", "exploiter"])
-def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, run):
+def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, run, request):
     """Amid turns and amid rating; also where a player begins anew every few turns, and groups take turns."""
+    if run is HUNTED:  # every start would compile physics for long
+        request.getfixturevalue("optimised_runs")
     undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
     undisturbed.mkdir()
     killed.mkdir()

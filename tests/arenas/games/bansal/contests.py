@@ -10,6 +10,7 @@ import arenas
 from arenas.games.bansal.match import Contest, GameState
 from arenas.physics.engine import Physics
 from arenas.state import Verdict
+from tests.arenas.hooks import judging
 
 
 def built(name: str, **rules) -> Contest:
@@ -43,7 +44,7 @@ def state(arena: Contest, own=(), second_first=False) -> GameState:
 def judged(arena: Contest, bases, own=(), second_first=False, ball=None, time=1.0) -> Verdict:
     """The verdict on bodies that stay where they are."""
     now = put(arena, bases, ball, time)
-    return arena.judge(now, now, state(arena, own, second_first))[1]
+    return judging(arena)(now, now, state(arena, own, second_first))[1]
 
 
 def outcome(verdict: Verdict) -> tuple:

@@ -9,6 +9,7 @@ import pytest
 from arenas.games.bansal.body_distance import BodyShape, gap
 from arenas.games.bansal.ring_sumo import Ring
 from tests.arenas.games.bansal.contests import built, judged, outcome, put, state
+from tests.arenas.hooks import judging
 
 UP, DOWN = 0.5, 0.29
 
@@ -45,7 +46,7 @@ def test_out_or_down_loses_and_wins_for_the_other_only_after_a_touch(
 @pytest.mark.parametrize(("apart", "touch"), [(1.2, True), (2.2, False)])
 def test_a_touch_is_remembered(sumo, apart, touch):
     now = put(sumo, ((0.0, 0.0, UP), (apart, 0.0, UP)))
-    game, verdict = sumo.judge(now, now, state(sumo, ring(False)))
+    game, verdict = judging(sumo)(now, now, state(sumo, ring(False)))
     assert bool(game.own.touched) is touch
     assert verdict.events["touch"].tolist() == [touch, touch]
 

@@ -14,6 +14,7 @@ from arenas.games.bansal.settings import ARENAS, YouShallNotPassRules, original_
 from league.config import experiment
 from league.config.schema import ConfigError
 from tests.arenas.games.bansal.contests import built, put, state
+from tests.arenas.hooks import observing
 
 PASS = arenas.settings("you-shall-not-pass")
 FIXED = replace(PASS, rules=replace(PASS.rules, roles="fixed", episode=1.0))
@@ -49,8 +50,8 @@ def test_a_body_sees_the_same_from_either_place_and_its_role(name):
     )
     own = arena.draw(jax.random.key(0))[1]
     actions = {agent: jnp.zeros(arena.robot.action_size) for agent in arena.names}
-    one = arena.observe(here, state(arena, own), actions)["blue/0"]
-    other = arena.observe(turned, state(arena, own, second_first=True), actions)["blue/0"]
+    one = observing(arena)(here, state(arena, own), actions)["blue/0"]
+    other = observing(arena)(turned, state(arena, own, second_first=True), actions)["blue/0"]
     differ = np.flatnonzero(~np.isclose(one, other, atol=1e-4))
     names = np.repeat(
         [p.name for p in arena.observation_parts("blue/0")], [p.size for p in arena.observation_parts("")]
@@ -62,7 +63,7 @@ def test_the_opponents_numbers_and_no_others_change_with_the_opponent():
     arena = built("sumo-ants")
     own, actions = arena.draw(jax.random.key(0))[1], {a: jnp.zeros(8) for a in arena.names}
     seen = [
-        np.asarray(arena.observe(put(arena, ((-1.0, 0.0, 0.5), there)), state(arena, own), actions)["blue/0"])
+        np.asarray(observing(arena)(put(arena, ((-1.0, 0.0, 0.5), there)), state(arena, own), actions)["blue/0"])
         for there in ((1.0, 0.0, 0.5), (1.5, 0.7, 0.9, 1.0))
     ]
     marked = np.concatenate([np.full(part.size, part.opponent) for part in arena.observation_parts("blue/0")])

@@ -13,6 +13,7 @@ from arenas.games.soccer.drill import GameState as Asked
 from arenas.games.soccer.match import GameState
 from arenas.robots.anymal import REST_HEIGHT
 from arenas.robots.leatherback import WHEEL_RADIUS
+from tests.arenas.hooks import observing
 from tests.arenas.kickoff import put
 
 UP = math.pi / 2
@@ -25,7 +26,7 @@ LOWER = WHEEL_RADIUS - REST_HEIGHT  # m, where a rover's base is seen from an AN
 
 def look(arena, physics, game=NOBODY):
     actions = {a.name: jnp.full(a.action_size, 0.25) for a in arena.agents}
-    return {name: np.asarray(x) for name, x in arena.observe(physics, game, actions).items()}
+    return {name: np.asarray(x) for name, x in observing(arena)(physics, game, actions).items()}
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +97,7 @@ def test_the_walk_shows_its_point_where_the_ball_will_be():
     arena = arenas.load("soccer-walk", engine="c")
     start = arena.reset(jax.random.key(0))
     asked = start.game._replace(goal=jnp.array([2.0, 1.0]))
-    mine = np.asarray(arena.observe(start.physics, asked, start.actions)["blue/0"])
+    mine = np.asarray(observing(arena)(start.physics, asked, start.actions)["blue/0"])
     assert mine.shape == (66,)
     assert np.linalg.norm(mine[45:47]) == pytest.approx(math.hypot(2.0, 1.0), rel=1e-5)
     assert mine[47] == pytest.approx(0.25 - REST_HEIGHT, abs=1e-5)

@@ -11,6 +11,7 @@ import pytest
 import arenas
 from arenas.games.soccer.match import GameState
 from arenas.games.soccer.settings import OUTCOME, RewardDefects, SoccerReward, SoccerRules, faithful
+from tests.arenas.hooks import judging
 from tests.arenas.kickoff import put
 
 DT = 0.02  # s
@@ -35,7 +36,7 @@ def rovers():
 
 def judged(arena, before=None, after=None, poses=POSES, game=NOBODY):
     """The game and verdict of a control step, from the one state to the other, each the words of `put`."""
-    return arena.judge(put(arena, poses, **(before or {})), put(arena, poses, **(after or {})), game)
+    return judging(arena)(put(arena, poses, **(before or {})), put(arena, poses, **(after or {})), game)
 
 
 # where the ball is, and who has scored

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from arenas.games.sumo.match import GameState
+from tests.arenas.hooks import observing
 
 RIGHT = math.pi / 2
 SCENE = [(1.0, 0.0, RIGHT), (1.0, 1.0, 0.0), (-1.0, 0.0, math.pi), (1.0, -1.5, RIGHT)]  # blue/0, blue/1, red/0, red/1
@@ -18,7 +19,7 @@ ACTIONS = {"blue/0": (0.3, -0.2), "blue/1": (0.4, 0.1), "red/0": (-1.0, 0.5), "r
 def seen(brawl, stand):
     physics = stand(brawl.arena, SCENE, time=2.5, velocity=SPEEDS, flipped=(3,))
     actions = {name: jnp.array(a) for name, a in ACTIONS.items()}
-    return brawl.arena.observe(physics, GameState(jnp.asarray(2.0)), actions)
+    return observing(brawl.arena)(physics, GameState(jnp.asarray(2.0)), actions)
 
 
 # blue/0 faces +y: ahead of it is +y, on its left is -x.
@@ -57,6 +58,6 @@ def test_the_up_axis_tells_a_rover_on_its_back(seen):
 
 def test_the_radius_seen_is_the_radius_now(duel, stand):
     physics = stand(duel.arena, [(0.6, 0.0, 0.0), (-0.6, 0.0, 0.0)], time=7.5)
-    seen = duel.arena.observe(physics, GameState(jnp.asarray(1.5)), {"blue/0": jnp.zeros(2), "red/0": jnp.zeros(2)})
+    seen = observing(duel.arena)(physics, GameState(jnp.asarray(1.5)), {"blue/0": jnp.zeros(2), "red/0": jnp.zeros(2)})
     np.testing.assert_allclose(seen["red/0"][5:10], [0.6 / 0.9, 0.0, 0.3, 0.9, 0.75], atol=1e-6)
     assert seen["red/0"].shape == (20,)

@@ -12,6 +12,7 @@ from arenas.games.sumo import paper_observation
 from arenas.games.sumo.match import GameState
 from arenas.robots.anymal import REST_HEIGHT
 from arenas.robots.leatherback import WHEEL_RADIUS
+from tests.arenas.hooks import observing
 
 UP = math.pi / 2
 # blue/0, blue/1, red/0, red/1; blue/0 faces +y: ahead of it is +y, on its left is -x.
@@ -22,7 +23,7 @@ RING = GameState(jnp.asarray(4.0))
 
 def look(arena, physics):
     actions = {a.name: jnp.full(a.action_size, 0.25) for a in arena.agents}
-    return {name: np.asarray(x) for name, x in arena.observe(physics, RING, actions).items()}
+    return {name: np.asarray(x) for name, x in observing(arena)(physics, RING, actions).items()}
 
 
 def built(**changes):

@@ -10,6 +10,7 @@ import arenas
 from arenas.games.sumo import Defects
 from arenas.games.sumo.match import GameState
 from arenas.games.sumo.settings import PAPER, faithful
+from tests.arenas.hooks import judging
 
 RING = GameState(jnp.asarray(4.0))
 IN, OUT = (2.0, 2.0, 0.0), (3.0, 3.0, 0.0)  # 2.83 and 4.24 m from the centre
@@ -20,7 +21,7 @@ BELLY = 0.08  # m: an ANYmal's base this high has its centre of mass at 0.0885 m
 def judge(arena, stand, blue=IN, red=IN, low=(), flipped=(), time=1.0):
     poses = [blue, MATES[0], (-red[0], -red[1], 0.0), MATES[1]]
     physics = stand(arena, poses, time, flipped, height=dict.fromkeys(low, BELLY))
-    return arena.judge(physics, physics, RING)[1]
+    return judging(arena)(physics, physics, RING)[1]
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 import arenas
 from arenas.games.sumo import SumoRules
 from arenas.games.sumo.match import GameState
+from tests.arenas.hooks import judging, observing
 
 IN, OUT = (1.0, 0.5, 0.3), (1.2, 1.7, 0.0)  # 1.12 m and 2.08 m from the centre of a ring of 2 m
 RING = GameState(jnp.asarray(2.0))
@@ -18,7 +19,7 @@ MATE = [(-0.5, -0.8, 0.0), (-0.5, 0.8, 1.0)]
 
 
 def judge(arena, before, after):
-    verdict = arena.judge(before, after, RING)[1]
+    verdict = judging(arena)(before, after, RING)[1]
     assert not verdict.truncated  # time is part of the game: its end is a real end
     return verdict
 
@@ -132,5 +133,5 @@ def test_rules_that_contradict_themselves_are_refused(rule, message):
 
 def test_hand_placed_rovers_stand_as_told(duel, stand):
     physics = stand(duel.arena, [(0, 0, math.pi / 3), (1, 0, 0.5)], flipped=(1,))
-    seen = duel.arena.observe(physics, RING, {"blue/0": jnp.zeros(2), "red/0": jnp.zeros(2)})
+    seen = observing(duel.arena)(physics, RING, {"blue/0": jnp.zeros(2), "red/0": jnp.zeros(2)})
     np.testing.assert_allclose([seen[name][10] for name in seen], [1.0, -1.0], atol=1e-6)
