@@ -106,7 +106,7 @@ class RanksTrainer:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the last turn was stopped before its end."""
+        """True if the last turn was stopped before its end."""
         return self._trainer.interrupted
 
     def turn(self, store: Store, turn: TrainingTurn, stop: Callable[[], bool]) -> "Iterator[Progress]":

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.devices.rendezvous import Meeting, Place, meet
+from agents.devices.rendezvous import Meeting, Place, RanksError, meet
 from league.training.data_parallel.rank_watch import RankWatch
 from storage.store import Store
 from tests.faults.servers import free_port
@@ -103,6 +103,7 @@ def learning(folder: Path) -> int:
     found = wait_for(
         folder, lambda store: next((w for w in store.workers(LEAGUE, 5) if w.status.get("iteration")), None)
     )
+    assert found is not None
     return found.pid
 
 
@@ -164,6 +165,7 @@ def test_ranks_that_disagree_about_their_number_are_told_so_and_need_a_person():
     port = free_port()
     for error in meet_in_threads(Place(0, 2, "127.0.0.1", port), Place(1, 3, "127.0.0.1", port)):
         assert str(error) == ("the ranks disagree about their number: it is 2 for rank 0 and 3 for rank 1 (WORLD_SIZE)")
+        assert isinstance(error, RanksError)
         assert not error.transient
 
 
@@ -181,8 +183,13 @@ def test_a_rank_whose_signs_of_life_end_is_lost_and_a_wish_to_stop_reaches_rank_
     assert isinstance(second, Meeting)
     reasons: list[str] = []
     gone, leads, follows = threading.Event(), threading.Event(), threading.Event()
+
+    def lost(reason: str) -> None:
+        reasons.append(reason)
+        gone.set()
+
     watches = [
-        RankWatch(first, leads, lambda reason: (reasons.append(reason), gone.set()), silent=8.0),
+        RankWatch(first, leads, lost, silent=8.0),
         RankWatch(second, follows, reasons.append, silent=8.0),
     ]
     for watch in watches:
