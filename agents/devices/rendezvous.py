@@ -21,6 +21,8 @@ import torch.distributed as dist
 from torch.distributed import PrefixStore, TCPStore  # type: ignore[attr-defined]  (exported, and not marked so)
 
 POLL = 0.05  # seconds between two looks for a key
+RETRY = 0.5  # seconds between two attempts to reach an address, each of at most CONNECT seconds
+CONNECT = 5.0
 PARTING = 5.0  # seconds that rank 0 waits until the others have read why they do not fit together
 ANYWHERE = ("192.0.2.1", 9)  # an address of no host (RFC 5737), used to find the route that leads outside
 
@@ -116,16 +118,34 @@ def meet(place: Place, limit: float) -> Meeting:
 
     Raises RanksError, one line: transient if not all came in time; otherwise if they disagree about their number.
     """
-    deadline = time.monotonic() + limit
+    deadline, serves = time.monotonic() + limit, place.rank == 0 and not place.served
+    _find(place, serves, deadline, limit)
     try:
         table = TCPStore(
-            place.address, place.port, is_master=place.rank == 0 and not place.served,
-            timeout=timedelta(seconds=limit), wait_for_workers=False,
-        )  # fmt: skip
+            place.address, place.port, is_master=serves, timeout=timedelta(seconds=limit), wait_for_workers=False
+        )
         return (_receive if place.rank == 0 else _join)(place, table, deadline, limit)
     except dist.DistError as error:
         reason = str(error).partition("\n")[0]
-        raise RanksError(f"{_missing(place, limit, 'no rank 0')}: {reason}", transient=True) from error
+        where = f"{place.address}:{place.port}"
+        failed = "cannot serve" if serves else "has lost"
+        message = f"rank {place.rank} of {place.size} {failed} the table of the ranks at {where}: {reason}"
+        raise RanksError(message, transient=True) from error
+
+
+def _find(place: Place, serves: bool, deadline: float, limit: float) -> None:
+    """Wait until the address answers. torch would wait too, and print a page of C++ frames for each attempt."""
+    if serves:
+        with suppress(socket.gaierror):
+            socket.getaddrinfo(place.address, place.port)
+            return
+        raise RanksError(f"rank 0 of {place.size} finds no address of {place.address} (MASTER_ADDR)", transient=True)
+    while True:
+        with suppress(OSError), socket.create_connection((place.address, place.port), timeout=CONNECT):
+            return
+        if time.monotonic() > deadline:
+            raise RanksError(_missing(place, limit, "no rank 0"), transient=True)
+        time.sleep(RETRY)
 
 
 def _receive(place: Place, table: TCPStore, deadline: float, limit: float) -> Meeting:

@@ -68,6 +68,7 @@ def worker(args: list[str]) -> int:
 
 def _place() -> "Place":
     """Return the place of this process among the ranks. Raises RanksError."""
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # its warnings of a lost connection are pages of C++ frames
     from agents.devices.rendezvous import place_of
 
     return place_of(os.environ)

@@ -301,8 +301,9 @@ def test_numbers_that_do_not_fit_and_ranks_that_do_not_come_are_told_in_a_line(t
         for rank, absent in ((0, "no rank 1"), (1, "no rank 0")):
             with ranks(tmp_path, rank, more=("--ranks-limit", "3s")) as alone:
                 assert codes(alone) == [75]
-            (line,) = [line for line in said(tmp_path, rank).splitlines() if line.startswith("league:")]
-            assert f"rank {rank} of 2 met {absent} at 127.0.0.1" in line
+            greeting, line = said(tmp_path, rank).splitlines()
+            assert greeting.startswith("Works for league hosts")
+            assert f"league: rank {rank} of 2 met {absent} at 127.0.0.1" in line
 
 
 # Two network namespaces ----------------------------------------------------------------------------------------------
