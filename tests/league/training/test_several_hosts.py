@@ -1,5 +1,6 @@
 """Ranks that torchrun, srun or a person starts, on loopback and in two network namespaces that stand for two hosts."""
 
+import json
 import os
 import shutil
 import signal
@@ -14,13 +15,14 @@ from pathlib import Path
 import pytest
 
 from agents.devices.rendezvous import Meeting, Place, RanksError, meet
+from league.system.memory import TooLarge
 from league.training.data_parallel.rank_watch import RankWatch
+from league.training.data_parallel.several_hosts import Ranks
 from storage.store import Store
 from tests.faults.servers import free_port
 from tests.league.conftest import ENVIRONMENT, call, command, start, wait_for
-from tests.league.training.test_data_parallel import children
+from tests.league.training.test_data_parallel import LEAGUE, Seat, children, spoil
 
-LEAGUE = "hosts"
 ITERATIONS = 60
 RUN = (
     "run", "--arena.name", "rock-paper-scissors", "--league", LEAGUE, "--seed", "3", "--training.worlds", "16",
@@ -207,6 +209,19 @@ def test_a_rank_whose_signs_of_life_end_is_lost_and_a_wish_to_stop_reaches_rank_
     assert reasons == ["rank 1 of 2 was silent for 8 s"]
 
 
+def test_rank_0_raises_what_another_rank_has_left_for_and_can_do_no_more():
+    port = free_port()
+    first, second = meet_in_threads(*(Place(rank, 2, "127.0.0.1", port) for rank in (0, 1)))
+    assert isinstance(first, Meeting)
+    assert isinstance(second, Meeting)
+    ranks = Ranks(first, Seat(0), threading.Event())
+    ranks.order("make")
+    second.tell("left/1", json.dumps(["TooLarge", "take 4096 worlds"]))
+    with pytest.raises(TooLarge, match="rank 1 of 2 left: take 4096 worlds"):
+        ranks.order("turn")
+    assert ranks.broken == "rank 1 of 2 left: take 4096 worlds"
+
+
 # Whole leagues -------------------------------------------------------------------------------------------------------
 
 
@@ -241,6 +256,21 @@ def test_a_killed_rank_ends_the_turn_which_is_done_again(undisturbed, tmp_path, 
             assert codes(both) == [0, 0], said(tmp_path, 0) + said(tmp_path, 1)
         assert manager.wait(60) == 0
     assert ends(tmp_path) == undisturbed
+
+
+@pytest.mark.slow
+def test_what_diverges_is_a_setback_of_its_player_and_the_ranks_go_on(tmp_path):
+    with managed(tmp_path, "--budget.steps", "256") as manager, ranks(tmp_path, 0, 1) as both:
+        assert codes(both) == [0, 0]
+        assert manager.wait(60) == 0
+    with Store.open(tmp_path / "league-data") as store:
+        spoil(store, "blue")
+    with managed(tmp_path, "--budget.steps", str(10**9)) as manager, ranks(tmp_path, 0, 1) as both:
+        wait_for(tmp_path, lambda store: any(player.paused for player in store.players(LEAGUE)))
+        assert [process.poll() for process in both] == [None, None]
+        assert call("stop", "--league", LEAGUE, cwd=tmp_path).returncode == 0
+        assert codes(both) == [0, 0], said(tmp_path, 0) + said(tmp_path, 1)
+        assert manager.wait(60) == 0
 
 
 def rank_of(pid: int) -> str | None:
@@ -292,7 +322,7 @@ def test_numbers_that_do_not_fit_and_ranks_that_do_not_come_are_told_in_a_line(t
     with managed(tmp_path, *SHORT):
         with ranks(tmp_path, 0, size=1) as one:
             assert codes(one) == [2]
-        assert "league: training.devices of league hosts is 2, and 1 ranks were started" in said(tmp_path, 0)
+        assert f"league: training.devices of league {LEAGUE} is 2, and 1 ranks were started" in said(tmp_path, 0)
         port = free_port()
         with ranks(tmp_path, 0, port=port) as one, ranks(tmp_path, 1, port=port, size=3) as other:
             assert codes([*one, *other]) == [2, 2]
@@ -302,7 +332,7 @@ def test_numbers_that_do_not_fit_and_ranks_that_do_not_come_are_told_in_a_line(t
             with ranks(tmp_path, rank, more=("--ranks-limit", "3s")) as alone:
                 assert codes(alone) == [75]
             greeting, line = said(tmp_path, rank).splitlines()
-            assert greeting.startswith("Works for league hosts")
+            assert greeting.startswith(f"Works for league {LEAGUE}")
             assert f"league: rank {rank} of 2 met {absent} at 127.0.0.1" in line
 
 
