@@ -37,7 +37,8 @@ quick: $(STAMP)
 
 # Leagues wait for each other's processes, so three of these tests keep two cores busy.
 test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile, and whole leagues.
-	$(QUICKLY) $(BIN)/pytest -rs -m "slow and not gpu" -n 3 --dist worksteal
+	$(QUICKLY) $(BIN)/pytest -rs -m "slow and not optimised and not gpu" -n 3 --dist worksteal
+	$(BIN)/pytest -rs -m "slow and optimised and not gpu" -n 2 --dist worksteal
 
 test-gpu: $(STAMP)  ## On a machine with an NVIDIA GPU: all arenas and variants on the engines and kernels of GPUs.
 	$(BIN)/pytest -rs -v -m gpu

@@ -154,8 +154,8 @@ class SacSettings:
 
     replay: ReplaySettings = field(default_factory=ReplaySettings)
     """Replay buffer."""
-    lr: float = field(default=3e-4, metadata={"low": 0.0, "high": 1.0})
-    """Learning rate of actors, critics and temperatures (Adam)."""
+    lr: float = field(default=1e-3, metadata={"low": 0.0, "high": 1.0})
+    """Learning rate of actors and critics (Adam); that of temperatures is ten times as high."""
     batch: int = field(default=1024, metadata={"low": 1, "high": 1_000_000})
     """Decisions per gradient step."""
     replay_ratio: float = field(default=4.0, metadata={"above": 0.0, "high": 10_000.0})
@@ -166,14 +166,12 @@ class SacSettings:
     """Steps of the critic for each step of the actors."""
     critic_hidden: tuple[int, ...] = field(default=(256, 256), metadata={"low": 1, "high": 8192, "most": MAX_LAYERS})
     """Widths of the critics' hidden layers."""
-    bins: int = field(default=101, metadata={"low": 0, "high": 10_001})
-    """Bins of the critics' output."""
-    least: bool = False
-    """Targets and actors follow the lesser one of the twins' values; false: their mean."""
+    bins: int = field(default=101, metadata={"low": 2, "high": 10_001})
+    """Bins of values, which the critics classify."""
     tau: float = field(default=0.01, metadata={"above": 0.0, "high": 1.0})
     """Share of the critics' weights that the target networks take over in each step."""
-    target_entropy: float = field(default=-0.5, metadata={"low": -100.0, "high": 10.0})
-    """Entropy per number of an action that the temperature is adapted to."""
+    target_entropy: float = field(default=0.0, metadata={"low": -100.0, "high": 10.0})
+    """Entropy per number of an action, with its limit as unit, that the temperature is adapted to."""
     temperature: float = field(default=0.01, metadata={"above": 0.0, "high": 100.0})
     """Temperature at the start, in units of the scaled reward."""
     max_grad_norm: float = field(default=10.0, metadata={"low": 0.0})

@@ -82,18 +82,6 @@ class Bins(nn.Module):
         return -(self.histogram(targets) * logits.log_softmax(-1)).sum(-1)
 
 
-class Plain(nn.Module):
-    """A value by itself, learnt by squared errors."""
-
-    def values(self, logits: Tensor) -> Tensor:
-        """Return the only output (...) of logits (..., 1)."""
-        return logits[..., 0]
-
-    def losses(self, logits: Tensor, targets: Tensor) -> Tensor:
-        """Return squared errors (2, B) of both critics' outputs (2, B, 1)."""
-        return (logits[..., 0] - targets).square()
-
-
 class InputNorm(nn.Module):
     """Running mean and variance of a critic's observations, as actors have their own."""
 

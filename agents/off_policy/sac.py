@@ -30,7 +30,7 @@ from agents.learner.happo import draw_seed
 from agents.learner.metric_means import MetricSums, read_means
 from agents.learner.optimizer import Adam, autocast_networks, matmul_precision, step
 from agents.off_policy.agent import SacAgent, architecture_of
-from agents.off_policy.critics import Bins, InputNorm, Plain, RewardScale, TwinCritic, merge_statistics
+from agents.off_policy.critics import Bins, InputNorm, RewardScale, TwinCritic, merge_statistics
 from agents.off_policy.replay import NOBODY, Decisions, Layout, Replay, more_size, valid_rows
 from agents.settings import HappoConfig
 from arenas.state import AgentSpec
@@ -65,14 +65,11 @@ class SacLearner:
             self.agents = [SacAgent(a, i, firsts[i], settings, device) for i, a in enumerate(agents)]
             inputs = seen + sum(self._action_sizes)
             self.critic, self.target = (
-                TwinCritic(inputs, self.own.critic_hidden, self.own.bins or 1).to(device) for _ in range(2)
+                TwinCritic(inputs, self.own.critic_hidden, self.own.bins).to(device) for _ in range(2)
             )
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
-        self.bins, self.input_norm = (
-            (Bins(self.own.bins) if self.own.bins else Plain()).to(device),
-            InputNorm(seen).to(device),
-        )
+        self.bins, self.input_norm = Bins(self.own.bins).to(device), InputNorm(seen).to(device)
         self.rewards = RewardScale().to(device)
         self.temperatures = _Temperatures(len(agents), self.own.temperature).to(device)
         self.critic_optimizer = Adam(self.critic, torch.tensor(self.own.lr, device=device))
@@ -245,8 +242,7 @@ class SacLearner:
         """Return the mean of both critics' values (B,)."""
         with autocast_networks(self.config.precision, seen.device):
             logits = critic(seen, actions / self._limit)
-        values = self.bins.values(logits)
-        return values.amin(0) if self.own.least else values.mean(0)
+        return self.bins.values(logits).mean(0)
 
     def _improve_actors(self, run: Runner, rows: Tensor, noise: Tensor) -> None:
         """Take one step of each actor, then one of the temperatures."""

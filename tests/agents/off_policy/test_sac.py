@@ -48,7 +48,7 @@ def test_a_sample_has_the_density_of_its_distribution():
 
 
 def test_targets_are_those_of_the_formula():
-    mine = learner()
+    mine = learner(config(target_entropy=-0.3))
     for seed in range(3):
         mine.learn(experience(seed))
     batch, noise = experience(9, T=1, N=40, void=0.0, dead=0.4), torch.randn(40, 3)
@@ -64,7 +64,7 @@ def test_targets_are_those_of_the_formula():
                 action, density = policy.rsample(noise[n, agent.columns])
             there = bool(batch.next_alive[i][0, n])
             actions.append(action if there else torch.zeros_like(action))
-            target = AGENTS[i].action_size * (-0.5 + math.log(1.5))
+            target = AGENTS[i].action_size * (-0.3 + math.log(1.5))
             bonus -= temperatures[i].item() * (density.sum().item() + target) * there
         seen = torch.cat([x[0, n] for x in batch.next_observations])
         with torch.no_grad():
