@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from contextlib import suppress
+from typing import NoReturn
 
 from agents.devices.rendezvous import Meeting, Place, RanksError, meet, use_route_to
 from arenas.physics.cpu import cores
@@ -24,7 +25,7 @@ from storage.store import Store
 LAST_WORD = 10.0  # seconds in which a process that ends early may still release its lease
 
 
-def work_as_rank(spec: WorkerSpec, place: Place, limit: float) -> None:
+def work_as_rank(spec: WorkerSpec, place: Place, limit: float) -> NoReturn:
     """Work as one of the ranks until a stop, and end the process with one of the league's exit codes.
 
     A SIGTERM or Ctrl-C at any rank has all of them finish the iteration. A rank that gives no sign of life for as long
@@ -41,17 +42,15 @@ def work_as_rank(spec: WorkerSpec, place: Place, limit: float) -> None:
             f"training.devices of league {config.league} is {config.training.devices}, and {place.size} ranks were"
             " started (WORLD_SIZE): make the two equal"
         )
-    code = exit_codes.DONE
     try:
         code = _work(spec, config, meeting)
-        print(f"Rank {place.rank} no longer works for league {config.league}; what was under way is finished.")
+        if code == exit_codes.DONE:
+            print(f"Rank {place.rank} no longer works for league {config.league}; what was under way is finished.")
     except (StorageError, RanksError) as error:
         print(f"league: {error}", file=sys.stderr, flush=True)
         code = exit_codes.of(error)
-    finally:
-        sys.stdout.flush()
-        if sys.exc_info()[0] is None:
-            os._exit(code)  # without the exit handlers of libraries, which may wait for other ranks
+    sys.stdout.flush()
+    os._exit(code)  # without the exit handlers of libraries, which may wait for other ranks
 
 
 def _work(spec: WorkerSpec, config: Config, meeting: Meeting) -> int:
