@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import torch
 import torch.distributed as dist
 from torch import Tensor
-from torch.distributed import TCPStore  # type: ignore[attr-defined]  (it is exported, and not marked so)
+from torch.distributed import Store, TCPStore  # type: ignore[attr-defined]  (exported, and not marked so)
 
 from agents.devices import cuda_graphs
 
@@ -120,7 +120,14 @@ def join(rank: int, size: int, port: int, on_gpus: bool) -> Communicator:
         return SINGLE_PROCESS
     # All ranks are on this host, whose own name need not lead to an address.
     os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo" if sys.platform == "linux" else "lo0")
-    store = TCPStore(LOCALHOST, port, is_master=False, timeout=TIMEOUT)
+    return connect(TCPStore(LOCALHOST, port, is_master=False, timeout=TIMEOUT), rank, size, on_gpus)
+
+
+def connect(store: Store, rank: int, size: int, on_gpus: bool) -> Communicator:
+    """Become one of `size` ranks that find each other in a table of their own; return when all have joined.
+
+    As `join` does it otherwise. The table must outlive the ranks' work. Raises RuntimeError if the others do not come.
+    """
     backend = "cpu:gloo,cuda:nccl" if on_gpus else "gloo"
     dist.init_process_group(backend, store=store, rank=rank, world_size=size, timeout=TIMEOUT)
     ranks = ProcessGroup()

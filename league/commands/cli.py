@@ -187,6 +187,7 @@ def is_expected(error: Exception) -> bool:
     known: list[type] = [StorageError]
     for module, name in (
         ("league.config.schema", "ConfigError"), ("arenas.errors", "ArenaError"), ("arenas.errors", "EngineError"),
+        ("agents.devices.rendezvous", "RanksError"),
         ("dashboards.errors", "ViewerError"), ("league.runtime.manager", "ManagerError"),
         ("league.runtime.preflight", "PrepareError"),
     ):  # fmt: skip

@@ -235,8 +235,8 @@ class Budget:
 class Workers:
     """The processes on this machine."""
 
-    train: int = field(default=1, metadata={"low": 1, "high": 64})
-    """Processes that train; each takes a GPU of its own where there are several."""
+    train: int = field(default=1, metadata={"low": 0, "high": 64})
+    """Processes that train; each takes a GPU of its own where there are several (0: `league worker` trains)."""
     match: int = field(default=1, metadata={"low": 0, "high": 64})
     """Processes that play rating matches."""
     nice: int = field(default=19, metadata={"low": 0, "high": 19})

@@ -56,8 +56,11 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     _validate_skills(config, arena)
     _validate_learners(config, arena)
     _validate_scripts(config, arena)
-    _validate_device(config, arena)
-    _validate_memory(config, arena)
+    if config.deterministic and arena.engine.name == "warp":
+        raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
+    if config.workers.train:  # otherwise other machines learn
+        _validate_device(config)
+        _validate_memory(config, arena)
     return arena
 
 
@@ -290,8 +293,8 @@ def _validate_scripts(config: Config, arena: "Arena") -> None:
             raise ConfigError(("players",), f"players: {player.name} is the name of a scripted opponent; use another")
 
 
-def _validate_device(config: Config, arena: "Arena") -> None:
-    """Raise ConfigError if this machine lacks the devices or the compiler, or the engine is not deterministic."""
+def _validate_device(config: Config) -> None:
+    """Raise ConfigError if this machine lacks the devices or the compiler."""
     if config.training.device == "cuda" and not devices.torch_has_cuda():
         raise refuse(("training", "device"), "cuda", "torch sees no CUDA device here; use auto or cpu")
     if 0 < (gpus := len(devices.gpus())) < config.training.devices:
@@ -301,8 +304,6 @@ def _validate_device(config: Config, arena: "Arena") -> None:
         raise refuse(("training", "devices"), config.training.devices, message)
     if config.learner.compiled and (lacking := devices.lacks_to_compile()):
         raise refuse(("learner", "compiled"), True, f"torch.compile needs {lacking}, and none is here; use false")
-    if config.deterministic and arena.engine.name == "warp":
-        raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
 
 
 def _validate_memory(config: Config, arena: "Arena") -> None:

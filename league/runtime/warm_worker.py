@@ -30,7 +30,7 @@ KEPT_LINES = 100  # newest lines kept of the process's output while it prepares
 
 def can_become_worker(config: Config) -> bool:
     """Return whether the process that prepares this league can be its first train worker."""
-    return config.training.devices == 1 and not config.stages
+    return config.training.devices == 1 and config.workers.train > 0 and not config.stages
 
 
 # In the manager's process --------------------------------------------------------------------------------------------

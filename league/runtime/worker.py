@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from league.runtime.worker_process import WorkerSpec
     from league.system.arena_build import Built
     from league.system.gpu_sharing import Pace
-    from league.training.data_parallel import DataParallelTrainer
+    from league.training.data_parallel.one_host import DataParallelTrainer
+    from league.training.data_parallel.several_hosts import Ranks, RanksTrainer
     from league.training.trainer import Trainer
 
 IDLE = 0.1  # seconds between two attempts to claim a job
@@ -47,9 +48,11 @@ class Worker:
     """
 
     def __init__(
-        self, store: Store, config: Config, spec: "WorkerSpec", stopping: threading.Event, built: "Built | None" = None
-    ):
+        self, store: Store, config: Config, spec: "WorkerSpec", stopping: threading.Event,
+        built: "Built | None" = None, ranks: "Ranks | None" = None,
+    ):  # fmt: skip
         self.store, self.config, self.spec, self.stopping, self.built = store, config, spec, stopping, built
+        self.ranks = ranks  # which others have started, and this process leads
         self.host, self.pid = socket.gethostname(), os.getpid()
         self.id = f"{self.host}:{self.pid}:{'+'.join(spec.kinds)}{spec.number}"
         self.status: dict[str, Any] = {"doing": "starting"}
@@ -185,15 +188,19 @@ class Worker:
         if following.jobs:
             self.store.queue(following.jobs, following.phases)
 
-    def _trainer(self, turn: TrainingTurn) -> "Trainer | DataParallelTrainer":
+    def _trainer(self, turn: TrainingTurn) -> "Trainer | DataParallelTrainer | RanksTrainer":
         if "trainer" not in self._loaded:
             self.status = {"doing": "compiling the training rollout", "learners": list(turn.learners)}
             self._loaded["trainer"] = self._new_trainer()
         return self._loaded["trainer"]
 
-    def _new_trainer(self) -> "Trainer | DataParallelTrainer":
+    def _new_trainer(self) -> "Trainer | DataParallelTrainer | RanksTrainer":
+        if self.ranks is not None:
+            from league.training.data_parallel.several_hosts import RanksTrainer
+
+            return RanksTrainer(self.config, self.store, self.ranks)
         if self.config.training.devices > 1:
-            from league.training.data_parallel import DataParallelTrainer
+            from league.training.data_parallel.one_host import DataParallelTrainer
 
             return DataParallelTrainer(self.config, self.spec.run, self.spec.number)
         from league.system.arena_build import worlds as training_worlds
@@ -212,7 +219,7 @@ class Worker:
         if trainer is not None and self.config.training.devices > 1:
             trainer.close()
 
-    def _run_turn(self, trainer: "Trainer | DataParallelTrainer", turn: TrainingTurn) -> None:
+    def _run_turn(self, trainer: "Trainer | DataParallelTrainer | RanksTrainer", turn: TrainingTurn) -> None:
         for at in trainer.turn(self.store, turn, self._should_stop):
             furthest = max(at.counters.values(), key=lambda c: c.iteration)
             self.status = {

@@ -42,15 +42,7 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
     SIGTERM and the second ends the process. Ends with `exit_codes.UNFIT` if this host cannot do the jobs. `built` is
     an arena that this process has already.
     """
-    stopping = threading.Event()
-
-    def on_interrupt(number: int, frame: object) -> None:
-        if stopping.is_set():
-            os._exit(130)
-        stopping.set()
-
-    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
-    signal.signal(signal.SIGINT, on_interrupt if spec.parent is None else signal.SIG_IGN)
+    stopping = stop_by_signals(spec.parent is not None)
     if spec.devices == 1:
         devices.take(spec.number)
     environment.prepare()
@@ -65,19 +57,38 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
     torch.set_num_threads(max(1, cores() // 2))
     name = f"{'+'.join(spec.kinds)} worker"
     try:
-        with _open_store(spec, stopping) as store:
+        with open_store(spec, stopping) as store:
             worker = Worker(store, config, spec, stopping, built)
             worker.run()
     except StorageError as error:  # the manager starts another worker; a person needs the reason, not a traceback
         print(f"league: {name}: {error}", file=sys.stderr, flush=True)
         sys.exit(exit_codes.of(error))
     if worker.unfit:
-        message = f"league: {name} {spec.number} on {worker.host} stops, because it cannot do its jobs: {worker.unfit}"
-        print(message, file=sys.stderr, flush=True)
+        report_unfit(worker)
         sys.exit(exit_codes.UNFIT)
 
 
-def _open_store(spec: WorkerSpec, stopping: threading.Event) -> Store:
+def report_unfit(worker: Worker) -> None:
+    """Print why a worker cannot do its jobs."""
+    name = f"{'+'.join(worker.spec.kinds)} worker {worker.spec.number} on {worker.host}"
+    print(f"league: {name} stops, because it cannot do its jobs: {worker.unfit}", file=sys.stderr, flush=True)
+
+
+def stop_by_signals(has_parent: bool) -> threading.Event:
+    """Return an event that a SIGTERM sets, and without a parent also the first Ctrl-C; the second ends the process."""
+    stopping = threading.Event()
+
+    def on_interrupt(number: int, frame: object) -> None:
+        if stopping.is_set():
+            os._exit(130)
+        stopping.set()
+
+    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
+    signal.signal(signal.SIGINT, signal.SIG_IGN if has_parent else on_interrupt)
+    return stopping
+
+
+def open_store(spec: WorkerSpec, stopping: threading.Event) -> Store:
     """Open the store; wait while it is away. Raises StorageError; Unavailable if the worker is to stop before."""
     patience = lock_wait.RetryReporter()
     while True:

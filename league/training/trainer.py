@@ -54,7 +54,7 @@ class Progress(NamedTuple):
 class Trainer:
     """Learners, compiled rollout and worlds of one process. The store's checkpoints are authoritative for the learners.
 
-    Each of several ranks (`league/training/data_parallel.py`) has a trainer with its part of the `worlds`, and all do
+    Each of several ranks (`league/training/data_parallel/`) has a trainer with its part of the `worlds`, and all do
     the same turns: their decisions depend on values that are equal on all ranks or come from rank 0. Only rank 0
     commits.
     """

@@ -1,16 +1,21 @@
 """`league worker`: work for a running league, on this host or another. Its processes share only the store."""
 
+import os
 import time
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from league.commands.options import Where, parse
+from league.config.durations import check_duration, seconds
 from league.config.run_spec import RunSpec
 from league.runtime.worker_process import WorkerSpec, work
 from league.state.liveness import leader
 from league.system import devices
 from storage.database.lock_wait import RetryReporter
 from storage.errors import NoLeague, NotAStore, StorageError, Unavailable, UnknownName
+
+if TYPE_CHECKING:
+    from agents.devices.rendezvous import Place
 
 Kind = Literal["train", "match"]
 LOOK = 1.0  # seconds between two checks for a manager
@@ -28,6 +33,17 @@ class WorkerOptions(Where):
     """Number of the worker on its host, from 0, which decides its GPU among several."""
     wait: bool = False
     """Wait until somebody runs the league, instead of ending with an error where nobody does."""
+    ranks: bool = False
+    """Learn as one of the ranks that torchrun or srun has started; training.devices is their number."""
+    ranks_limit: str = field(default="5m", metadata={"valid": check_duration})
+    """With --ranks: how long a rank waits for the others."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if ranks would not learn, or would not wait for each other."""
+        if self.ranks and "train" not in self.kinds:
+            raise ValueError("kinds: with --ranks a worker learns, so they must have train")
+        if not seconds(self.ranks_limit):
+            raise ValueError("ranks_limit: must be longer than nothing")
 
 
 def worker(args: list[str]) -> int:
@@ -35,14 +51,27 @@ def worker(args: list[str]) -> int:
     what = "Work for a league that runs, from any host that reaches its store; Ctrl-C finishes what is under way first."
     options = parse(WorkerOptions, args, "worker", what)
     devices.use(options.devices)
+    place, limit = _place() if options.ranks else None, seconds(options.ranks_limit)
     league, manager, text = _sought(options)
     spec = RunSpec(options.store, options.blobs, text)
     config = spec.config()
     print(f"Works for league {league}, managed by {manager}. Ctrl-C stops.", flush=True)
+    if place is not None and (place.size > 1 or config.training.devices > 1):
+        from league.runtime.rank_process import work_as_rank
+
+        work_as_rank(WorkerSpec(spec, ("train",), options.number, None, place.size, manager), place, limit)
     count = config.training.devices if "train" in options.kinds else 1
     work(WorkerSpec(spec, options.kinds, options.number, None, count, manager))
     print(f"No longer works for league {league}; what was under way is finished.")
     return 0
+
+
+def _place() -> "Place":
+    """Return the place of this process among the ranks. Raises RanksError."""
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # its warnings of a lost connection are pages of C++ frames
+    from agents.devices.rendezvous import place_of
+
+    return place_of(os.environ)
 
 
 def _sought(options: WorkerOptions) -> tuple[str, str, str]:

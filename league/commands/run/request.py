@@ -40,7 +40,7 @@ class RunOptions:
     """Train for so long from now on, e.g. 10m, whatever the budget says."""
     steps: int | None = field(default=None, metadata={"low": 1})
     """Train for so many environment steps from now on, whatever the budget says."""
-    workers: int | None = field(default=None, metadata={"low": 1, "high": 64})
+    workers: int | None = field(default=None, metadata={"low": 0, "high": 64})
     """Processes that train; the same as --workers.train."""
     devices: tuple[int, ...] = field(default=(), metadata={"low": 0})
     """The GPUs to use, by their numbers, e.g. 0,1 (none given: all that this process may use)."""

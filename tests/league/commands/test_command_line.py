@@ -50,7 +50,7 @@ def folder(tmp_path, monkeypatch):
     [
         (("run", "--detach=maybe"), '--detach = "maybe": expected true or false'),
         (("run", "--steps", "0"), "--steps = 0: must be at least 1"),
-        (("run", "--workers.train", "0"), "must be between 1 and 64"),
+        (("run", "--workers.train", "65"), "must be between 0 and 64"),
         (("run", "--training.worlds", "1e30"), "expected a whole number"),
         (
             ("run", "--training.schedule.period_steps", "0"),

@@ -123,7 +123,7 @@ def test_a_switch_is_turned_off_in_every_way(off):
         (("--steps", "5", "--budget.steps", "6"), "--steps 5 contradicts --budget.steps 6"),
         (("--for", "0s"), '--for = "0s": must be longer than nothing'),
         (("--for", "soon"), '--for = "soon": "soon" is not a duration'),
-        (("--workers.train", "0"), "--workers.train = 0: must be between 1 and 64"),
+        (("--workers.train", "65"), "--workers.train = 65: must be between 0 and 64"),
         (("--training.worlds", "1e30"), '--training.worlds = "1e30": expected a whole number, or "none"'),
         (("--training.worlds", "99999999999"), "--training.worlds = 99999999999: must be between 2 and 1048576"),
         (("--learner.lr", "nan"), "--learner.lr = nan: must be finite"),

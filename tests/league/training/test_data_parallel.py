@@ -22,7 +22,7 @@ from league.runtime.worker_process import WorkerSpec
 from league.scheduling import turn_scheduler
 from league.state.jobs import decode
 from league.state.league_state import LeagueState
-from league.training import data_parallel
+from league.training.data_parallel import one_host
 from league.training.trainer import PlayerDiverged, Trainer
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
@@ -213,7 +213,7 @@ def test_a_stop_ends_all_ranks_after_the_same_iteration_and_what_they_learnt_is_
 
 def test_the_gpus_of_a_worker_lie_side_by_side():
     def place(worker: int, rank: int) -> int:
-        return data_parallel.RankSpec(RunSpec("", None, ""), worker, rank, size=2, port=0).device
+        return one_host.RankSpec(RunSpec("", None, ""), worker, rank, size=2, port=0).device
 
     assert [place(worker, rank) for worker in (0, 1) for rank in (0, 1)] == [0, 1, 2, 3]
 
@@ -223,7 +223,7 @@ def test_the_gpus_of_a_worker_lie_side_by_side():
     [Unavailable("the disk is full"), Superseded("blue has gone on"), PlayerDiverged("red", "not finite: entropy")],
 )
 def test_an_error_is_the_same_in_the_worker(error):
-    found = data_parallel._from_message(*pickle.loads(pickle.dumps(data_parallel._as_message(error, 1))))
+    found = one_host._from_message(*pickle.loads(pickle.dumps(one_host._as_message(error, 1))))
     assert (type(found), str(found), vars(found)) == (type(error), str(error), vars(error))
 
 

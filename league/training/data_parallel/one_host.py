@@ -6,8 +6,8 @@ and stop, as for any job. A failure shows in one of two ways: a rank sends an er
 the worker kills all ranks, since work that is not in the store was not done yet. A rank ends by itself as soon as its
 worker is gone, even during work.
 
-This module does not use torchrun: torchrun restarts failed ranks, as the store's leases already do, and its ranks
-outlive it if it is killed.
+These ranks are on one host, and need no torchrun: it restarts failed ranks, as the store's leases already do, and its
+ranks outlive it if it is killed. `several_hosts.py` has ranks that torchrun or srun has started.
 """
 
 import multiprocessing
@@ -33,6 +33,7 @@ from storage.records import Lease
 from storage.store import Store
 
 if TYPE_CHECKING:
+    from agents.devices.distributed import Communicator
     from league.training.trainer import Progress, Trainer
 
 TICK = 0.2  # seconds between two checks for a stop
@@ -184,14 +185,24 @@ def _trainer(store: Store, spec: RankSpec) -> "Trainer":
     import torch
 
     from agents.devices.distributed import join
+
+    torch.set_num_threads(max(1, cores() // spec.size // 2))  # as in a worker
+    return rank_trainer(store, config, join(spec.rank, spec.size, spec.port, on_gpus(config)))
+
+
+def on_gpus(config: Config) -> bool:
+    """Return whether a rank learns on a GPU here. Loads torch."""
+    return config.training.device != "cpu" and devices.torch_has_cuda()
+
+
+def rank_trainer(store: Store, config: Config, comm: "Communicator") -> "Trainer":
+    """Return the trainer of a rank, with its part of the worlds. Raises StorageError."""
     from league.system.arena_build import worlds as training_worlds
     from league.training.trainer import Trainer
 
-    torch.set_num_threads(max(1, cores() // spec.size // 2))  # as in a worker
-    on_gpus = config.training.device != "cpu" and torch.cuda.is_available()
-    comm, worlds = join(spec.rank, spec.size, spec.port, on_gpus), training_worlds(config)
+    worlds = training_worlds(config)
     arena = config.arena.build(
-        engine=config.engine, worlds=worlds // spec.size, threads=config.workers.threads or cores,
+        engine=config.engine, worlds=worlds // comm.size, threads=config.workers.threads or cores,
         **config.buffers.where(),
     )  # fmt: skip
     players = store.players(config.league)
