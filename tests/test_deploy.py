@@ -91,7 +91,8 @@ def test_the_commands_that_they_start_are_ours_and_take_their_flags():
     started = [m["spec"]["template"]["spec"]["containers"][0]["args"] for m in manifests() if m["kind"] == "Deployment"]
     for name in ("league.service", "league-worker.service"):
         started += [shlex.split(line) for line in re.findall(r"ExecStart=\S+ (.*)", (DEPLOY / name).read_text())]
-    started += [shlex.split(line)[1:] for line in re.findall(r"exec league .*", (DEPLOY / "league.sbatch").read_text())]
+    script = (DEPLOY / "league.sbatch").read_text()
+    started += [shlex.split(line) for line in re.findall(r"^ +(?:exec )?(league .*)", script, re.MULTILINE)]
     assert len(started) == 6
     for program, command, *args in started:
         assert (program, command in cli.COMMANDS) == ("league", True)

@@ -1,6 +1,8 @@
 """`league worker`: work for a running league, on this host or another. Its processes share only the store."""
 
 import os
+import signal
+import sys
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, get_args
@@ -10,7 +12,7 @@ from league.config.durations import check_duration, seconds
 from league.config.run_spec import RunSpec
 from league.runtime.worker_process import WorkerSpec, work
 from league.state.liveness import leader
-from league.system import devices
+from league.system import devices, exit_codes
 from storage.database.lock_wait import RetryReporter
 from storage.errors import NoLeague, NotAStore, StorageError, Unavailable, UnknownName
 
@@ -75,8 +77,12 @@ def _place() -> "Place":
 
 
 def _sought(options: WorkerOptions) -> tuple[str, str, str]:
-    """Return the league, its manager and its settings as TOML; with --wait, wait for them. Raises StorageError."""
+    """Return the league, its manager and its settings as TOML; with --wait, wait for them. Raises StorageError.
+
+    SIGTERM ends the wait as the stop that it is, with exit code 0.
+    """
     patience = RetryReporter()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(exit_codes.DONE))
     while True:
         try:
             with options.open() as opened:
