@@ -249,6 +249,7 @@ def out_of_time(case: Case) -> dict[str, int]:
     case.cluster.wait(lambda: case.cluster.idle() == set(NODES), 60)
     case.job = case.submit("--time=2", "--signal=B:USR1@100")
     case.cluster.wait(lambda: case.state() == "PENDING" and case.cluster.field(case.job, "Restarts") == "1", 300)
+    case.cluster.call("scontrol", "update", f"jobid={case.job}", "timelimit=60")
     case.back()
     return {"requeued by itself": 1}
 
