@@ -113,6 +113,12 @@ class Unsorted(Race):
         return (Entities("rivals", ((0, 1), (5, 6))),)
 
 
+class Miscounted(Race):
+    def __init__(self, settings, **where):
+        super().__init__(settings, **where)
+        self.robots = {name: replace(robot, sets={"size": (0.5, 2.0)}) for name, robot in self.robots.items()}
+
+
 class Unpainted(Race):
     def __init__(self, settings, **where):
         super().__init__(settings, **where)

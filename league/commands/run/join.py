@@ -54,6 +54,7 @@ def worker(args: list[str]) -> int:
     options = parse(WorkerOptions, args, "worker", what)
     devices.use(options.devices)
     place, limit = _place() if options.ranks else None, seconds(options.ranks_limit)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(exit_codes.DONE))  # a wait ends as it was asked to
     league, manager, text = _sought(options)
     spec = RunSpec(options.store, options.blobs, text)
     config = spec.config()
@@ -77,12 +78,8 @@ def _place() -> "Place":
 
 
 def _sought(options: WorkerOptions) -> tuple[str, str, str]:
-    """Return the league, its manager and its settings as TOML; with --wait, wait for them. Raises StorageError.
-
-    SIGTERM ends the wait as the stop that it is, with exit code 0.
-    """
+    """Return the league, its manager and its settings as TOML; with --wait, wait for them. Raises StorageError."""
     patience = RetryReporter()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(exit_codes.DONE))
     while True:
         try:
             with options.open() as opened:

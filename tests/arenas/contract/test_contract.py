@@ -125,6 +125,7 @@ BROKEN = [
     (faulty.Unshakeable, "unstable physics", r"make these void: \[\]"),
     (faulty.Trusting, "non-finite actions", r"teams at fault are \[\], not \[\[0, 0\], \[1, 1\]\]"),
     (faulty.Unsorted, "entities are sets", "entities name the place 6, and the observation has 6 numbers"),
+    (faulty.Miscounted, "a first decision", "blue/0 sets 1 things, with 2 numbers of an action"),
     (faulty.Misspoken, "scripts return", r"shout gives blue/0 \(6,\) numbers, not 2 finite ones"),
     (faulty.Embellished, "frames are one", "approach differs, by up to 5"),
     (faulty.Zeroed, "recorded frames", "qpos differs, by up to"),
