@@ -18,6 +18,8 @@ def main(folder: Path) -> None:
     comm = distributed.connect(meeting.store, place.rank, place.size, on_gpus=False)
     case = torch.load(folder / "case", weights_only=False)
     torch.save(case.part(place.rank).learn(comm), folder / f"rank{place.rank}")
+    comm.gather(0)  # all have written
+    os._exit(0)  # as a league's ranks end: at a usual exit threads of gloo may abort the process
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The meeting of ranks that others have started: places, interfaces, and what two ranks of torchrun learn."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -71,7 +72,7 @@ def test_two_ranks_of_torchrun_learn_what_one_process_learns_from_the_whole_batc
             "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}", "--local-addr", "127.0.0.1",
             "-m", "tests.agents.devices.learn_as_rank", tmp_path,
         ],
-        cwd=ROOT, check=True, timeout=300,
+        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=300,
     )  # fmt: skip
     (state, told), start = case.learn(), case.learner().save()
     (first, figures), (second, _) = (torch.load(tmp_path / f"rank{r}", weights_only=False) for r in (0, 1))

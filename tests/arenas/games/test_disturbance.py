@@ -175,6 +175,9 @@ HILLS = replace(
     HOPPER, bodies=(), terrain=Table({"bumps": 0.1, "terraces": 0.3}),
     design=Table({"friction": [0.5, 2.0], "terrain": ["flat", "terraces", "bumps"]}),
 )  # fmt: skip
+BUMPS = replace(  # MJX compiles each field for half a minute
+    HILLS, terrain=Table({"bumps": 0.3}), design=Table({"friction": [0.5, 2.0], "terrain": ["flat", "bumps"]})
+)
 CHOICES = jnp.array([[0.0, -1.0], [0.0, 0.0], [0.0, 9.0]])  # the last is clipped
 
 
@@ -219,14 +222,14 @@ def test_a_chosen_field_carries_the_walker(hills):
 
 
 @pytest.mark.slow
-def test_engines_agree_on_the_chosen_ground(hills):
-    """To the first contact with a terrace, which then also MJX holds against the walker, with contacts of its own."""
-    one, other = (dropped(arena, 9) for arena in (hills, built(HILLS, engine="jax")))
-    for c, mjx in zip(one[:8], other[:8], strict=True):
+def test_engines_agree_on_the_chosen_ground():
+    """To the first contact with a bump, which then also MJX holds against the walker, with contacts of its own."""
+    one, other = (dropped(built(BUMPS, engine=engine), 8) for engine in ("c", "jax"))
+    for c, mjx in zip(one[:3], other[:3], strict=True):
         np.testing.assert_allclose(mjx.physics.model["body_pos"], c.physics.model["body_pos"], atol=1e-6)
         np.testing.assert_allclose(mjx.physics.qpos, c.physics.qpos, atol=1e-5)
-    flat, terrace, _ = other[-1].physics.qpos[:, 1]
-    assert terrace - flat > 1e-3
+    flat, *held = other[-1].physics.qpos[:, 1]
+    assert min(held) - flat > 0.05
 
 
 def test_an_engine_that_cannot_choose_the_ground_says_so():
