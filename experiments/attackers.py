@@ -128,9 +128,8 @@ def bound(row: dict[str, Any], store: str, attacker: str, episodes: int) -> dict
 def parsed() -> argparse.Namespace:
     """Return the arguments. Exits with code 2 for numbers that cannot be."""
     parser = make_parser(__doc__)
-    whole = lambda text: int(text.replace("_", ""))  # noqa: E731
     parser.add_argument("arena", help="of two equal teams, e.g. sumo-2v2")
-    parser.add_argument("--steps", type=whole, required=True, help="environment steps of each victim's league")
+    parser.add_argument("--steps", type=int, required=True, help="environment steps of each victim's league")
     parser.add_argument("--victims", nargs="+", default=["latest", "magnet", "history"], choices=VICTIMS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3], help="of the victims' leagues")
     parser.add_argument("--attackers", type=int, default=2, help="seeds of attackers of each start")

@@ -117,7 +117,9 @@ def browser():
 
     with sync_playwright() as playwright:
         # Chromium's sandbox does not start as root, as which containers run; these pages are our own.
-        running = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        # Chromium brings a driver of its own, in software, which this variable would hide too.
+        kept: dict[str, str | float | bool] = {k: v for k, v in os.environ.items() if k != "VK_DRIVER_FILES"}
+        running = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"], env=kept)
         yield running
         running.close()
 

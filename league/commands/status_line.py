@@ -69,7 +69,8 @@ class Ticker:
             known = _against_initial(state) or _unknown(state)
             parts = [stage, trouble_text(state), known, left, rated, f"{past} so far"]
         elif not training:
-            doing = next((str(said["doing"]) for said in learners if "doing" in said), "starting workers")
+            none = "starting workers" if self.config.workers.train else "waiting for a `league worker` that trains"
+            doing = next((str(said["doing"]) for said in learners if "doing" in said), none)
             parts = [doing, trouble_text(state), _against_initial(state), f"{past} so far", rated]
         else:
             parts = [

@@ -1,4 +1,5 @@
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 
 import jax
@@ -8,12 +9,16 @@ import torch
 
 import arenas
 from agents.batch import Batch, Sequences
+from agents.devices import cuda_graphs
 from agents.learner.happo import HappoLearner
 from agents.policy.networks import Actor, SquashedGaussian
 from agents.rollout.rollout import make_rollout
 from agents.settings import Architecture
 from arenas.arena import Arena
 from arenas.games.sumo import SumoRules
+from tests.agents.kernels import record
+
+on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 
 
 def scrambled_actor(seed: int, architecture: Architecture, observations: int = 20, actions: int = 2) -> Actor:
@@ -143,3 +148,15 @@ def same() -> Callable[[object, object], bool]:
         return all(jax.tree.leaves(equal))
 
     return check_ranks_agree
+
+
+@pytest.fixture(params=["recorder", pytest.param("cuda", marks=[pytest.mark.gpu, on_a_gpu])])
+def device(request, monkeypatch) -> str:
+    """The device where learners replay: on a GPU by graphs, else by the recorder of kernels.py."""
+    if request.param == "recorder":
+        monkeypatch.setattr(cuda_graphs, "new_stream", lambda: "no stream")
+        monkeypatch.setattr(cuda_graphs, "new_pool", lambda: "no pool")
+        monkeypatch.setattr(cuda_graphs, "on", nullcontext)
+        monkeypatch.setattr(cuda_graphs, "wait_for", lambda stream: None)
+        monkeypatch.setattr(cuda_graphs, "record", record)
+    return "cuda" if request.param == "cuda" else "cpu"

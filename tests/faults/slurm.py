@@ -187,6 +187,7 @@ class Case:
     def back(self) -> None:
         """Wait until the job is back in the queue, and let it start without the two minutes that Slurm holds it."""
         self.cluster.wait(lambda: self.state() == "PENDING", 120)
+        time.sleep(5)  # in the second of its end a node would take the new start for the old one, and kill it
         self.cluster.call("scontrol", "update", f"jobid={self.job}", "starttime=now")
 
     def done(self, seconds: float = 600) -> None:

@@ -1,6 +1,5 @@
 """Replaying an update is updating: on a GPU by CUDA graphs, and here by the recorder of kernels.py."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,6 @@ import torch
 
 from agents.devices import cuda_graphs
 from agents.learner.happo import HappoLearner
-from tests.agents.kernels import record
 from tests.agents.variants import BASE, EVERY_UPDATE, SIGHT, experienced
 
 # One for each kind of update, and what makes other kernels of it; the recorder has seen the rest of these in others.
@@ -20,21 +18,6 @@ SLOW = {"ippo", "shared", "target_kl", "desired_kl", "privileged", "squashed", "
 def when(variant: str) -> list[pytest.MarkDecorator]:
     """Return the mark under which a variant is tried."""
     return [] if variant in QUICK else [pytest.mark.slow if variant in SLOW else pytest.mark.gpu]
-
-
-on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-
-
-@pytest.fixture(params=["recorder", pytest.param("cuda", marks=[pytest.mark.gpu, on_a_gpu])])
-def device(request, monkeypatch) -> str:
-    """Where learners replay: on a GPU by graphs, else by the recorder."""
-    if request.param == "recorder":
-        monkeypatch.setattr(cuda_graphs, "new_stream", lambda: "no stream")
-        monkeypatch.setattr(cuda_graphs, "new_pool", lambda: "no pool")
-        monkeypatch.setattr(cuda_graphs, "on", nullcontext)
-        monkeypatch.setattr(cuda_graphs, "wait_for", lambda stream: None)
-        monkeypatch.setattr(cuda_graphs, "record", record)
-    return "cuda" if request.param == "cuda" else "cpu"
 
 
 def pair(variant: dict, device: str) -> tuple[HappoLearner, HappoLearner]:

@@ -17,7 +17,7 @@ def numbered(first: int, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.
 
 
 def drawn(replay: Replay, count: int = 20_000) -> torch.Tensor:
-    """How often each number is drawn."""
+    """The number of times that each number is drawn."""
     places = replay.draw(count, torch.Generator().manual_seed(3))
     return torch.bincount(replay.rows[places, 0].long(), minlength=60)
 

@@ -1,7 +1,6 @@
 """Soft actor-critic: densities, targets, the order of agents, and what a checkpoint holds."""
 
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +9,14 @@ import torch
 from torch.distributions import AffineTransform, Normal, TanhTransform, TransformedDistribution
 
 from agents.batch import zero_absent
-from agents.devices import cuda_graphs
 from agents.devices.cuda_graphs import EagerRunner
 from agents.off_policy.replay import Layout
 from agents.policy.networks import SquashedGaussian
 from agents.settings import ReplaySettings
-from tests.agents.kernels import record
 from tests.agents.off_policy.conftest import AGENTS, config, experience, learner
 
 SIZES = [a.observation_size for a in AGENTS], [a.action_size for a in AGENTS]
 SAVED = config(ReplaySettings(150, 64, saved=True))
-on_a_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 
 
 def same(one, other) -> bool:
@@ -224,18 +220,6 @@ def test_critics_may_observe_more_than_their_team():
     assert math.isfinite(told["value_loss"])
     with pytest.raises(ValueError, match="observes 0 further numbers, not 5"):
         mine.learn(batch)
-
-
-@pytest.fixture(params=["recorder", pytest.param("cuda", marks=[pytest.mark.gpu, on_a_gpu])])
-def device(request, monkeypatch) -> str:
-    """Where a learner replays: on a GPU by graphs, else by the recorder of kernels.py."""
-    if request.param == "recorder":
-        monkeypatch.setattr(cuda_graphs, "new_stream", lambda: "no stream")
-        monkeypatch.setattr(cuda_graphs, "new_pool", lambda: "no pool")
-        monkeypatch.setattr(cuda_graphs, "on", nullcontext)
-        monkeypatch.setattr(cuda_graphs, "wait_for", lambda stream: None)
-        monkeypatch.setattr(cuda_graphs, "record", record)
-    return "cuda" if request.param == "cuda" else "cpu"
 
 
 def test_replayed_steps_are_steps(device):

@@ -17,7 +17,6 @@ from league.config.sections import PlayerSettings
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
 from league.runtime.validation import validate
-from league.snapshots.codec import add_scripts
 from league.snapshots.policy_file import export
 from league.state.jobs import RatingMatch
 from league.training.setback import PlayerDiverged
@@ -28,18 +27,6 @@ ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "docs" / "examples" / "reinforce.py"
 GAME = arenas.settings("rock-paper-scissors")
 ROCK = Opponents("fixed", victim="rock")
-
-
-@pytest.fixture(scope="module")
-def game():
-    return GAME.build(engine="c", threads=1)
-
-
-@pytest.fixture
-def store(tmp_path, game):
-    with new_store(tmp_path / "store", game) as store:
-        add_scripts(store, LEAGUE, game, None)
-        yield store
 
 
 def of(where, opponents=Opponents(), **own):  # noqa: B008  (frozen)

@@ -15,7 +15,6 @@ from league.config.sections import PlayerSettings
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
 from league.runtime.validation import validate
-from league.snapshots.codec import add_scripts
 from league.snapshots.policy_file import export
 from league.state.jobs import RatingMatch
 from league.training.learner_factory import new_learner
@@ -28,18 +27,6 @@ GAME = arenas.settings("rock-paper-scissors")
 ROCK = Opponents("fixed", victim="rock")
 UNIFORM = Opponents("uniform", past=0.5, groups=2)
 REPLAY = ReplaySettings(capacity=4000, start=200, saved=True)
-
-
-@pytest.fixture(scope="module")
-def game():
-    return GAME.build(engine="c", threads=1)
-
-
-@pytest.fixture
-def store(tmp_path, game):
-    with new_store(tmp_path / "store", game) as store:
-        add_scripts(store, LEAGUE, game, None)
-        yield store
 
 
 def of(opponents=Opponents(), replay=REPLAY, critic_input="own", **own):  # noqa: B008  (frozen)

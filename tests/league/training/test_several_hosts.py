@@ -113,7 +113,7 @@ def learning(folder: Path) -> int:
 
 
 def meet_in_threads(*places: Place, limit: float = 20) -> list[Meeting | Exception]:
-    """What each place gets from `meet`."""
+    """The meeting, or the error, that `meet` gives to each place."""
     found: dict[int, Meeting | Exception] = {}
 
     def go(number: int, place: Place) -> None:

@@ -74,6 +74,12 @@ def test_a_budget_in_steps_is_told_as_time():
     assert line.startswith("1:30 left")
 
 
+def test_a_manager_without_train_workers_waits_for_those_of_others():
+    waits = ticker()
+    waits.config = replace(waits.config, workers=replace(waits.config.workers, train=0))
+    assert waits.line(league_state(), "training", [MANAGER]).startswith("waiting for a `league worker` that trains")
+
+
 def test_after_a_restart_no_dead_workers_words_are_shown():
     gone = next(pid for pid in range(4_000_000, 5_000_000) if not os.path.exists(f"/proc/{pid}"))
     old = worker(started=5.0, **SAID)
