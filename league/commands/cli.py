@@ -51,6 +51,10 @@ COMMANDS = {
         "league.commands.play.known_games",
         "exact exploitability of a policy in a small game: Kuhn and Leduc poker, dark hex",
     ),
+    "bench": (
+        "league.commands.play.bench",
+        "a policy of yours against the frozen tasks and public references of Robot League Bench",
+    ),
     "grid": (
         "league.commands.play.grid",
         "snapshots over a grid of masses and frictions: mean, worst tenth and worst cell",

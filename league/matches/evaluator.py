@@ -216,6 +216,12 @@ class MatchEvaluator:
         """Let these policies play as a snapshot that is in no store."""
         self._policies[snapshot.digest, False] = policies
 
+    def make_room(self, store: Store, snapshots: Sequence[Snapshot]) -> None:
+        """Let one compiled match serve all these snapshots, whatever their networks: else each new shape compiles."""
+        self._remember(
+            [[self._load(store, s) for s in snapshots if s.roster == team.roster] for team in self.arena.teams]
+        )
+
     def _remember(self, teams: Sequence[Sequence[Sequence[Policy]]]) -> None:
         """Keep a policy of every network shape that has played: the program compiled for all of them serves again."""
         for team, seated in zip(self.arena.teams, teams, strict=True):

@@ -1,0 +1,152 @@
+"""`league bench`: a policy against the frozen tasks of the bench; `league bench page` and `league bench rerate`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dashboards.tables import Column, render
+from league.commands.options import parse, positional
+from league.commands.progress_bar import Progress
+from league.config.schema import ConfigError
+from league.config.sections import check_name
+from league.runs.bench import tasks
+from league.runs.bench.tasks import GAMES, TASKS, Task
+
+WHAT = """Measure a policy against the public references of a frozen task, and write the result as one JSON file:
+`league bench TASK --entry FILE ...`, several files for several seeds, and TEAM=FILE where the sides are unlike. A FILE
+is one that `league export` wrote, x.onnx, x.pt or x.py:function, with commas between those of a team's agents.
+`league bench page FOLDER` writes the table of such files as a page, `league bench rerate FOLDER` computes it again."""
+
+
+def _named(value: str) -> None:
+    check_name(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """The task, the entry's policies, and the file to write."""
+
+    task: str | None = positional(None)
+    """A task of `league bench --list`; without an entry, all about it."""
+    entry: tuple[str, ...] = positional((), many=True)
+    """The policies to measure, after --entry."""
+    list: bool = False
+    """List the tasks."""
+    name: str = field(default="entry", metadata={"valid": _named})
+    """The entry's name in tables."""
+    about: str = ""
+    """A line about it: the learner, its steps and seeds."""
+    out: str | None = None
+    """The file to write, never over another one (none: TASK-NAME.json)."""
+    games: int = field(default=GAMES, metadata={"low": 2})
+    """Games of each pair; with fewer than the default, the result is a trial."""
+    seed: int | None = field(default=None, metadata={"low": 0})
+    """Seed of the games, for selecting a policy (none: that of records); the result is then a trial."""
+    against: tuple[str, ...] = ()
+    """References to meet, such as pusher,idle (none: all); the result is then a trial."""
+
+
+def bench(args: list[str]) -> int:
+    """Measure an entry, list the tasks, or hand over to `page` and `rerate`."""
+    if args and args[0] in ("page", "rerate"):
+        from league.commands.play import bench_folder
+
+        return (bench_folder.page if args[0] == "page" else bench_folder.rerate)(args[1:])
+    options = parse(BenchOptions, _without_flag(args), "bench", WHAT)
+    if options.list:
+        print(_listing())
+        return 0
+    if options.task is None:
+        raise ConfigError(
+            (), "league bench needs a TASK, page FOLDER or rerate FOLDER: league bench --list has the tasks"
+        )
+    task = tasks.find(options.task)
+    if not options.entry:
+        print(_all_about(task))
+        return 0
+    return _measure(task, options)
+
+
+def _without_flag(args: Sequence[str]) -> list[str]:
+    """Return the arguments without the flag --entry, whose values are all words that follow."""
+    return [word.removeprefix("--entry=") for word in args if word != "--entry"]
+
+
+def _measure(task: Task, options: BenchOptions) -> int:
+    from league.runs.bench import entry_file
+    from league.runs.bench.evaluation import Request, evaluate
+
+    path = Path(options.out or f"{task.name}-{options.name}.json")
+    if path.exists():
+        raise ConfigError(("out",), f"{path} exists: give another --out or --name, or remove it")
+    request = Request(
+        name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against
+    )
+    with Progress("league bench") as progress:
+        content = evaluate(task, options.entry, request, lambda done, of: progress.tell("games", done, of))
+    entry_file.write(path, content)
+    print(_result(task, content))
+    print(f"Wrote {path}.")
+    return 0
+
+
+def _listing() -> str:
+    rows = [
+        {"task": task.name, "sides": " against ".join(dict.fromkeys(task.sides)), "about": task.about}
+        for task in TASKS.values()
+    ]
+    return render(rows, (Column("task", no_wrap=True), "sides", "about"))
+
+
+def _all_about(task: Task) -> str:
+    from league.runs.bench import references
+
+    known = references.of(task)
+    sides = [{"side": team, "robots: numbers seen: numbers acted with": roster} for team, roster in task.sides.items()]
+    lines = [f"{task.name}: {task.about}. Arena {task.arena}, configuration {task.config_hash}.", render(sides)]
+    if not task.exact:
+        rows = [
+            {"reference": each.name, "side": each.team or "both", "kind": each.kind, "about": each.provenance}
+            for each in known.references
+        ]
+        lines.append(render(rows, (Column("reference", no_wrap=True), "side", "kind", "about")))
+    if task.lacks:
+        lines.append(f"Missing: {task.lacks}.")
+    wanted = "FILE" if task.alike else " ".join(f"{team}=FILE" for team in task.teams)
+    lines.append(
+        f"league arenas {task.arena} tells what robots see and do. Enter: league bench {task.name} --entry {wanted}"
+    )
+    return "\n\n".join(lines)
+
+
+def _result(task: Task, content: dict[str, Any]) -> str:
+    """Describe an entry's metrics."""
+    found = content["metrics"]
+    if task.exact:
+        return "\n".join(
+            f"{each['name']}: exact exploitability {each['exploitability']:.6f}, NashConv {each['nash_conv']:.6f}."
+            for each in found["policies"]
+        )
+    lines = []
+    for each in found["policies"]:
+        rating, worst = each["rating"], each["worst"]
+        lines.append(
+            f"{each['name']}: {rating['elo']:.0f} Elo ({rating['low']:.0f} to {rating['high']:.0f}), where the mean of"
+            f" the references is 1000; worst {_percent(worst)} against {worst['against']};"
+            f" {100 * each['voids']:.2f} % void."
+        )
+        rows = [{"against": row["against"], "score": _percent(row), "games": row["games"]} for row in each["scores"]]
+        lines.append(render(rows))
+    if content["trial"]:
+        lines.append(
+            f"This is a trial, no record: a record has {GAMES:,} games of each pair, all references and the seed of"
+            " records."
+        )
+    return "\n\n".join(lines)
+
+
+def _percent(score: dict[str, Any]) -> str:
+    if score["score"] is None:
+        return "all void"
+    return f"{100 * score['score']:.1f} % ({100 * score['low']:.1f}-{100 * score['high']:.1f})"

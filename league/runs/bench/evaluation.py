@@ -1,0 +1,138 @@
+"""An entry from its files to its JSON: check, play, measure."""
+
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+from league.config.schema import ConfigError
+from league.runs.bench import entrants as entries
+from league.runs.bench import entry_file, exact, references
+from league.runs.bench.entrants import Entrant
+from league.runs.bench.games import BenchLeague, Row, bench_league
+from league.runs.bench.metrics import metrics
+from league.runs.bench.references import Reference, ReferenceSet
+from league.runs.bench.tasks import BATCH, GAMES, Task
+from league.system.packages.versions import versions
+from league.system.provenance import code
+from storage.errors import UnknownName
+
+Pair = tuple[str, str]
+Progress = Callable[[int, int], None]  # games played, of how many
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """An entry beside its task and its policies. Raises ConfigError for a number of games that cannot be played."""
+
+    name: str
+    about: str = ""
+    games: int = GAMES
+    seed: int | None = None  # None: that of records
+    against: tuple[str, ...] = ()  # names of references; empty: all
+
+    def __post_init__(self) -> None:
+        if self.games < 2 or self.games % (2 if self.games <= BATCH else BATCH):
+            raise ConfigError(
+                ("games",), f"--games is {self.games}: it must be even, and above {BATCH} a multiple of {BATCH}"
+            )
+
+    @property
+    def trial(self) -> bool:
+        """Return whether the result is no record."""
+        return self.games < GAMES or bool(self.against) or self.seed is not None
+
+
+def evaluate(
+    task: Task, words: Sequence[str], request: Request, progress: Progress = lambda games, of: None
+) -> dict[str, Any]:  # fmt: skip
+    """Check an entry's policies, play their games, and return the content of its file, without its digest.
+
+    Raises ConfigError or StorageError, one line, for policies that do not fit, before anything is played.
+    """
+    entrants, known, began = entries.read(task, words), references.of(task), time.monotonic()
+    if not entrants:
+        raise ConfigError(("entry",), f"league bench {task.name} needs --entry FILE: a policy to measure")
+    seed = task.seed if request.seed is None else request.seed
+    task.build()
+    if task.exact:
+        rows: list[Row] = exact.rows(task, entrants)
+        measured = exact.metrics(task, rows)
+    else:
+        rows = _played(task, entrants, known, request, seed, progress)
+        measured = metrics(task, [e.name for e in entrants], rows, known)
+    measured.setdefault("exploitability", None)  # not measured
+    measured.setdefault("seconds_to_75", None)
+    return {
+        "format": entry_file.FORMAT, "name": request.name, "about": request.about, "task": task.name,
+        "config_hash": task.config_hash, "references": known.digest, "package": versions().get("robot-league", "?"),
+        "commit": code().get("commit"), "versions": versions(), "device": device(), "engine": "c", "seed": seed,
+        "games": 0 if task.exact else request.games, "trial": request.trial and not task.exact,
+        "seconds": round(time.monotonic() - began, 1), "policies": [e.as_json() for e in entrants], "rows": rows,
+        "metrics": measured,
+    }  # fmt: skip
+
+
+def _played(
+    task: Task, entrants: Sequence[Entrant], known: ReferenceSet, request: Request, seed: int, progress: Progress
+) -> list[Row]:
+    """Return the rows of all games of an entry."""
+    chosen = [each for each in known.references if not request.against or each.name in request.against]
+    if unknown := set(request.against) - set(known.names):
+        raise UnknownName("reference", min(unknown), known.names)
+    pairs, done, rows = [*_pairs(task, entrants, chosen), *missing(task, known, chosen)], 0, []
+    with bench_league(task, request.games) as league:
+        bring_in(league, chosen)
+        for entrant in entrants:
+            entrant.add_to(league.opened)
+        league.make_room()
+
+        def tell(games: int) -> None:
+            nonlocal done
+            done += games
+            progress(done, len(pairs) * request.games)
+
+        for a, b in pairs:
+            rows += league.play(a, b, request.games, seed, tell)
+    return rows
+
+
+def bring_in(league: BenchLeague, chosen: Sequence[Reference]) -> None:
+    """Add references to a league of their task."""
+    for each in chosen:
+        references.bring_in(league.opened, league.task, each)
+
+
+def _pairs(task: Task, entrants: Sequence[Entrant], chosen: Sequence[Reference]) -> Iterator[Pair]:
+    """Yield the pairs of an entry's policies with the references, and with each other."""
+    names = {team: [e.name for e in entrants if e.team == team] for team in task.teams}
+    for entrant in entrants:
+        yield from ((entrant.name, each.name) for each in chosen if task.alike or each.team != entrant.team)
+    if task.alike:
+        yield from combinations(names[task.teams[0]], 2)
+    elif len(entrants) > len(task.teams):
+        first, second = names.values()
+        yield from product(first, second)
+
+
+def missing(task: Task, known: ReferenceSet, chosen: Sequence[Reference]) -> Iterator[Pair]:
+    """Yield the pairs of references whose games against each other do not come with the package."""
+    played = {frozenset((row["a"], row["b"])) for row in known.rows}
+    for a, b in combinations(chosen, 2):
+        if (task.alike or a.team != b.team) and frozenset((a.name, b.name)) not in played:
+            yield a.name, b.name
+
+
+def device() -> str:
+    """Return the processor of this machine and the number of cores that this process may use."""
+    named = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+        named = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return f"{named}, {len(os.sched_getaffinity(0))} cores"

@@ -1,0 +1,116 @@
+"""The public references of the tasks: scripts, policies that come with the package, and small policies of the bench.
+
+`references/manifest.json` has a list for each task. A reference has a `name`, a `kind` (script, shipped, learnt or
+exploiter), and in a task of unlike sides its `team`. A learnt one also has its `file`, the file's SHA-256, its `stage`
+(early, middle or late), the seed and steps of its training, and its `provenance` in words. Beside the list stands the
+file with the games of the references against each other, to which every rating is fitted.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from league.queries.query import Open
+from league.runs.bench.tasks import Task
+from league.snapshots import policy_file
+from league.snapshots.policy_file import Policy
+from storage.blobs import arrays
+from storage.errors import StorageError
+
+FOLDER = Path(__file__).parent / "references"
+Kind = Literal["script", "shipped", "learnt", "exploiter"]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A public opponent of a task."""
+
+    name: str  # in rows of games; that of a script is its name in a league, such as pusher or idle:red
+    kind: Kind
+    team: str | None = None  # in a task of unlike sides
+    policy: str = ""  # of a shipped one, its name in the package
+    copies: int = 1  # of a shipped one, number of agents that act by it
+    file: str = ""  # of others that learnt
+    sha256: str = ""
+    stage: str = ""
+    seed: int | None = None
+    steps: int | None = None
+    provenance: str = ""
+
+
+@dataclass(frozen=True)
+class ReferenceSet:
+    """The references of a task, and their games against each other."""
+
+    references: tuple[Reference, ...]
+    rows: tuple[Mapping[str, Any], ...]
+    digest: str  # of all that a rating depends on
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the references."""
+        return tuple(each.name for each in self.references)
+
+    def of(self, team: str | None) -> tuple[Reference, ...]:
+        """Return the references of a side; of all sides if they are alike."""
+        return tuple(each for each in self.references if each.team == team)
+
+
+def of(task: Task) -> ReferenceSet:
+    """Return the references of a task. Raises StorageError if a file of the package is missing or damaged."""
+    return _set(task.name)
+
+
+@cache
+def _set(task: str) -> ReferenceSet:
+    listed = json.loads(_read("manifest.json", ""))["tasks"].get(task, {"references": []})
+    found = tuple(Reference(**each) for each in listed["references"])
+    rows = json.loads(_read(listed["rows"]["file"], listed["rows"]["sha256"])) if "rows" in listed else []
+    digest = hashlib.sha256(json.dumps(listed, sort_keys=True).encode()).hexdigest()
+    return ReferenceSet(found, tuple(rows), digest)
+
+
+def bring_in(league: Open, task: Task, reference: Reference) -> None:
+    """Add a reference to a league of its task; scripts are there already. Raises StorageError for a damaged file."""
+    if reference.kind == "script":
+        return
+    path = FOLDER / reference.file if reference.file else policy_file.find(reference.policy)
+    if reference.file:
+        _read(reference.file, reference.sha256)
+    policy = copied(policy_file.read(path), task.sides[reference.team or task.teams[0]], reference.copies)
+    policy_file.bring_in(league, policy, reference.name)
+
+
+def copied(policy: Policy, roster: str, copies: int) -> Policy:
+    """Return the policy of one agent as that of a roster of so many agents, each of which acts by a copy."""
+    if copies == 1:
+        return policy
+    tensors: dict[str, np.ndarray] = {
+        f"{i}/{name.removeprefix('0/')}": array for i in range(copies) for name, array in policy.arrays.items()
+    }
+    digest = hashlib.sha256(arrays.to_bytes(tensors)).hexdigest()
+    return Policy(tensors, {**policy.about, "roster": roster, "digest": digest})
+
+
+def counted(references: Sequence[Reference]) -> str:
+    """Describe a list of references by the number of each kind."""
+    kinds = [each.kind for each in references]
+    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)) or "none"
+
+
+def _read(name: str, sha256: str) -> bytes:
+    try:
+        data = (FOLDER / name).read_bytes()
+    except OSError as error:
+        raise StorageError(
+            f"reference {name} of the bench is missing ({error.strerror}): reinstall robot-league."
+        ) from None
+    if sha256 and hashlib.sha256(data).hexdigest() != sha256:
+        raise StorageError(f"reference {name} of the bench is not the one of its manifest: reinstall robot-league.")
+    return data

@@ -1,0 +1,59 @@
+"""Ratings computed again from the rows of entries: the check of a pull request."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from league.runs.bench import exact, references, tasks
+from league.runs.bench.metrics import metrics
+
+CLOSE = {"elo": 0.05, "low": 0.05, "high": 0.05}
+"""Differences in Elo that floating-point numbers of another machine may make; all other numbers differ by `TINY`."""
+TINY = 2e-6
+
+
+def again(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the metrics of an entry that follow from its rows. Raises StorageError, one line, for damaged rows."""
+    task = tasks.find(content["task"])
+    if task.exact:
+        return exact.metrics(task, content["rows"])
+    names = [each["name"] for each in content["policies"]]
+    return metrics(task, names, content["rows"], references.of(task))
+
+
+def differences(content: Mapping[str, Any]) -> list[str]:
+    """Return the metrics of an entry that its rows contradict, a line each.
+
+    An entry that met other references than those of today is one line too.
+    """
+    task = tasks.find(content["task"])
+    if content["references"] != references.of(task).digest:
+        return ["it met other references than those of this version: run `league bench` again"]
+    found = again(content)
+    return [line for key in found for line in _unlike(key, content["metrics"].get(key), found[key])]
+
+
+def _unlike(where: str, told: Any, found: Any) -> Iterator[str]:
+    """Yield a line for each number or text that differs between two JSON values."""
+    if isinstance(found, Mapping) and isinstance(told, Mapping):
+        for key in sorted({*found, *told}):
+            yield from _unlike(f"{where}.{key}", told.get(key), found.get(key))
+    elif isinstance(found, list) and isinstance(told, list) and len(found) == len(told):
+        for i, (one, other) in enumerate(zip(told, found, strict=True)):
+            yield from _unlike(f"{where}[{i}]", one, other)
+    elif not _close(where, told, found):
+        yield f"{where} is {told!r}, and the rows give {found!r}"
+
+
+def _close(where: str, told: Any, found: Any) -> bool:
+    numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (told, found))
+    if not numbers:
+        return told == found
+    elo = CLOSE.get(where.rpartition(".")[2], TINY) if ".rating." in where else TINY
+    return math.isclose(told, found, abs_tol=elo)
+
+
+def of_folder(entries: Mapping[Path, Mapping[str, Any]]) -> dict[Path, list[str]]:
+    """Return the differences of each entry."""
+    return {path: differences(content) for path, content in entries.items()}
