@@ -1,5 +1,6 @@
 """`league bench`: a policy against the frozen tasks of the bench; `league bench page` and `league bench rerate`."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +44,10 @@ class BenchOptions:
     """Games of each pair; with fewer than the default, the result is a trial."""
     seed: int | None = field(default=None, metadata={"low": 0})
     """Seed of the games, for selecting a policy (none: that of records); the result is then a trial."""
+    attack: int | None = field(default=None, metadata={"low": 1})
+    """Steps of fresh attackers, which learn for so many and for three times as many (none: not measured)."""
+    attackers: int = field(default=1, metadata={"low": 1, "high": 16})
+    """Attackers of each policy, each with a seed of its own."""
     against: tuple[str, ...] = ()
     """References to meet, such as pusher,idle (none: all); the result is then a trial."""
 
@@ -81,10 +86,14 @@ def _measure(task: Task, options: BenchOptions) -> int:
     if path.exists():
         raise ConfigError(("out",), f"{path} exists: give another --out or --name, or remove it")
     request = Request(
-        name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against
-    )
+        name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against,
+        attack=options.attack, attackers=options.attackers,
+    )  # fmt: skip
     with Progress("league bench") as progress:
-        content = evaluate(task, options.entry, request, lambda done, of: progress.tell("games", done, of))
+        content = evaluate(
+            task, options.entry, request, lambda done, of: progress.tell("games", done, of),
+            lambda line: print(f"league bench: {line}", file=sys.stderr),
+        )  # fmt: skip
     entry_file.write(path, content)
     print(_result(task, content))
     print(f"Wrote {path}.")
@@ -138,6 +147,8 @@ def _result(task: Task, content: dict[str, Any]) -> str:
         )
         rows = [{"against": row["against"], "score": _percent(row), "games": row["games"]} for row in each["scores"]]
         lines.append(render(rows))
+    for each in found["exploitability"] or []:
+        lines.append(f"An attacker of {each['policy']} scores {_percent(each)} after {each['steps']:,} steps.")
     if content["trial"]:
         lines.append(
             f"This is a trial, no record: a record has {GAMES:,} games of each pair, all references and the seed of"

@@ -88,8 +88,8 @@ def _attacked(entry: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> str
     found = [each for each in entry["metrics"]["exploitability"] or [] if each["policy"] in names]
     if not found:
         return "not measured"
-    most = max(found, key=lambda each: _number(each["over"]))
-    return f"at least {100 * most['over']:+.1f} % ({100 * most['low']:+.1f} to {100 * most['high']:+.1f})"
+    most = max(found, key=lambda each: each["score"])
+    return f"attackers score {_percent(most)} after {most['steps']:,} steps"
 
 
 def _exact_row(entry: Mapping[str, Any]) -> dict[str, Any]:

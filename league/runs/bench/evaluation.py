@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from league.config.schema import ConfigError
+from league.runs.bench import attackers, entry_file, exact, references
 from league.runs.bench import entrants as entries
-from league.runs.bench import entry_file, exact, references
+from league.runs.bench.attackers import exploitability
 from league.runs.bench.entrants import Entrant
 from league.runs.bench.games import BenchLeague, Row, bench_league
 from league.runs.bench.metrics import metrics
@@ -34,6 +35,8 @@ class Request:
     games: int = GAMES
     seed: int | None = None  # None: that of records
     against: tuple[str, ...] = ()  # names of references; empty: all
+    attack: int | None = None  # steps of the shorter attack; None: exploitability is not measured
+    attackers: int = 1  # seeds of attackers against each policy
 
     def __post_init__(self) -> None:
         if self.games < 2 or self.games % (2 if self.games <= BATCH else BATCH):
@@ -48,7 +51,8 @@ class Request:
 
 
 def evaluate(
-    task: Task, words: Sequence[str], request: Request, progress: Progress = lambda games, of: None
+    task: Task, words: Sequence[str], request: Request, progress: Progress = lambda games, of: None,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Check an entry's policies, play their games, and return the content of its file, without its digest.
 
@@ -59,28 +63,35 @@ def evaluate(
         raise ConfigError(("entry",), f"league bench {task.name} needs --entry FILE: a policy to measure")
     seed = task.seed if request.seed is None else request.seed
     task.build()
-    if task.exact:
-        rows: list[Row] = exact.rows(task, entrants)
-        measured = exact.metrics(task, rows)
-    else:
-        rows = _played(task, entrants, known, request, seed, progress)
-        measured = metrics(task, [e.name for e in entrants], rows, known)
-    measured.setdefault("exploitability", None)  # not measured
-    measured.setdefault("seconds_to_75", None)
+    rows, attacks = (
+        (exact.rows(task, entrants), [])
+        if task.exact
+        else _played(task, entrants, known, request, seed, progress, tell)
+    )
     return {
         "format": entry_file.FORMAT, "name": request.name, "about": request.about, "task": task.name,
         "config_hash": task.config_hash, "references": known.digest, "package": versions().get("robot-league", "?"),
         "commit": code().get("commit"), "versions": versions(), "device": device(), "engine": "c", "seed": seed,
         "games": 0 if task.exact else request.games, "trial": request.trial and not task.exact,
         "seconds": round(time.monotonic() - began, 1), "policies": [e.as_json() for e in entrants], "rows": rows,
-        "metrics": measured,
+        "attacks": attacks, "metrics": measured(task, [e.name for e in entrants], rows, attacks, known),
     }  # fmt: skip
 
 
+def measured(
+    task: Task, policies: Sequence[str], rows: Sequence[Row], attacks: Sequence[Row], known: ReferenceSet
+) -> dict[str, Any]:
+    """Return all metrics of an entry, from its rows. Raises StorageError, one line, for damaged rows."""
+    if task.exact:
+        return exact.metrics(task, rows)
+    return {**metrics(task, policies, rows, known), "exploitability": exploitability(task, attacks)}
+
+
 def _played(
-    task: Task, entrants: Sequence[Entrant], known: ReferenceSet, request: Request, seed: int, progress: Progress
-) -> list[Row]:
-    """Return the rows of all games of an entry."""
+    task: Task, entrants: Sequence[Entrant], known: ReferenceSet, request: Request, seed: int, progress: Progress,
+    tell: Callable[[str], None],
+) -> tuple[list[Row], list[Row]]:  # fmt: skip
+    """Return the rows of all games of an entry, and those of its attackers."""
     chosen = [each for each in known.references if not request.against or each.name in request.against]
     if unknown := set(request.against) - set(known.names):
         raise UnknownName("reference", min(unknown), known.names)
@@ -91,14 +102,17 @@ def _played(
             entrant.add_to(league.opened)
         league.make_room()
 
-        def tell(games: int) -> None:
+        def count(games: int) -> None:
             nonlocal done
             done += games
             progress(done, len(pairs) * request.games)
 
         for a, b in pairs:
-            rows += league.play(a, b, request.games, seed, tell)
-    return rows
+            rows += league.play(a, b, request.games, seed, count)
+        if request.attack is None:
+            return rows, []
+        names, seeds = [entrant.name for entrant in entrants], range(1, request.attackers + 1)
+        return rows, attackers.attacks(league, names, request.attack, seeds, request.games, tell)
 
 
 def bring_in(league: BenchLeague, chosen: Sequence[Reference]) -> None:

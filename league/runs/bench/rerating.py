@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from league.runs.bench import exact, references, tasks
-from league.runs.bench.metrics import metrics
+from league.runs.bench import references, tasks
+from league.runs.bench.evaluation import measured
+from storage.errors import StorageError
 
 CLOSE = {"elo": 0.05, "low": 0.05, "high": 0.05}
 """Differences in Elo that floating-point numbers of another machine may make; all other numbers differ by `TINY`."""
@@ -15,11 +16,11 @@ TINY = 2e-6
 
 def again(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the metrics of an entry that follow from its rows. Raises StorageError, one line, for damaged rows."""
-    task = tasks.find(content["task"])
-    if task.exact:
-        return exact.metrics(task, content["rows"])
-    names = [each["name"] for each in content["policies"]]
-    return metrics(task, names, content["rows"], references.of(task))
+    task, names = tasks.find(content["task"]), [each["name"] for each in content["policies"]]
+    try:
+        return measured(task, names, content["rows"], content["attacks"], references.of(task))
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise StorageError(f"the rows of entry {content['name']} are damaged: {type(error).__name__} {error}") from None
 
 
 def differences(content: Mapping[str, Any]) -> list[str]:

@@ -1,0 +1,150 @@
+"""The bench as a stranger uses it: an ONNX file from the command line to the page, and every refusal in one line."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from league.commands import cli
+from league.matches.exact_exploitability import KnownGame
+from league.runs.bench import entry_file, rerating
+from league.runs.bench.tasks import TASKS
+from tests.league.conftest import said
+from tests.league.runs.bench.files import network
+from tests.league.snapshots.test_programs import gemm
+
+SUMO, UNLIKE, KUHN = "t1-sumo-rovers-v1", "t2-sumo-unlike-v1", "t0-kuhn-poker-v1"
+SLOW = "import time\nimport numpy as np\n\ndef slow(x):\n    time.sleep(0.2)\n    return np.zeros((len(x), 2))\n"
+
+
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory):
+    """The folder with a stranger's ONNX file, and the entry that was played with it."""
+    folder = tmp_path_factory.mktemp("bench")
+    mine = gemm(folder / "mine.onnx", sees=38, acts=2, bias=(1.0, 0.0))
+    (folder / "entries").mkdir()
+    out = folder / "entries" / "mine.json"
+    words = ["--entry", mine, "--games", "8", "--against", "idle,pusher", "--name", "mine", "--about", "a <b>layer</b>"]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["bench", SUMO, *words, "--out", str(out)])
+    assert not ended.value.code
+    return out
+
+
+def test_a_strangers_onnx_file_goes_through_the_bench(entry):
+    content = entry_file.read(entry)
+    (policy,) = content["metrics"]["policies"]
+    assert {row["b"] for row in content["rows"] if row["a"] == "e1"} == {"idle", "pusher"}
+    assert [each["games"] + each["voids"] for each in policy["scores"]] == [8, 8]
+    assert policy["worst"]["score"] <= policy["score"]["score"]
+    assert content["trial"]
+    assert content["policies"][0]["kind"] == "onnx"
+    assert content["metrics"]["exploitability"] is None  # not measured
+
+
+def test_what_it_tells_follows_from_its_rows(entry, capsys):
+    code, out, _ = said(capsys, "bench", "rerate", str(entry.parent))
+    assert (code, "the same" in out) == (0, True)
+    assert rerating.again(json.loads(entry.read_text()))["policies"] == entry_file.read(entry)["metrics"]["policies"]
+
+
+def test_its_page_shows_it_and_asks_for_nothing(entry, tmp_path, capsys):
+    page = tmp_path / "bench.html"
+    assert said(capsys, "bench", "page", str(entry.parent), "--out", str(page))[0] == 0
+    text = page.read_text("utf-8")
+    assert "Content-Security-Policy" in text
+    assert "default-src 'none'" in text
+    assert "a &lt;b&gt;layer&lt;/b&gt;" in text
+    assert re.search(r"<td[^>]*>trial</td>", text)
+
+
+def test_an_edited_entry_is_refused_by_page_and_count(entry, tmp_path, capsys):
+    content = json.loads(entry.read_text())
+    content["metrics"]["policies"][0]["rating"]["elo"] += 100
+    (tmp_path / "mine.json").write_text(json.dumps(content))
+    for command in (("rerate", str(tmp_path)), ("page", str(tmp_path), "--out", str(tmp_path / "x.html"))):
+        code, _, err = said(capsys, "bench", *command)
+        assert (code, err.count("\n"), "was edited" in err) == (2, 1, True)
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_a_forged_entry_is_noticed_by_its_rows(entry, tmp_path, capsys):
+    content = json.loads(entry.read_text())
+    content["metrics"]["policies"][0]["rating"]["elo"] += 100
+    del content["digest"]
+    entry_file.write(tmp_path / "mine.json", content)
+    code, out, _ = said(capsys, "bench", "rerate", str(tmp_path))
+    assert code == 1
+    assert "rating.elo is" in out
+
+
+def test_an_exact_entry_has_the_exploitability_of_its_policy(tmp_path, capsys):
+    file = network(tmp_path / "mine.safetensors", TASKS[KUHN].sides["blue"])
+    code, out, err = said(capsys, "bench", KUHN, "--entry", file, "--out", str(tmp_path / "kuhn.json"))
+    assert code == 0, err
+    content = entry_file.read(tmp_path / "kuhn.json")
+    (policy,) = content["metrics"]["policies"]
+    assert 0 < policy["exploitability"] < 1
+    assert policy["exploitability"] != pytest.approx(KnownGame("kuhn-poker").of_uniform().exploitability, abs=1e-4)
+    assert f"{policy['exploitability']:.6f}" in out
+    assert rerating.differences(content) == []
+    content["rows"][0]["table"][0] = [1.0, 0.0]
+    assert rerating.differences(content)
+
+
+REFUSED = {
+    "another roster": ([SUMO, "--entry", "leatherbacks-sumo"], "leatherbacks-sumo is a policy for leatherback:14:2"),
+    "no such task": (["t9", "--entry", "x.onnx"], "There is no task 't9' here; there is: t0-dark-hex-3-v1,"),
+    "no such file": ([SUMO, "--entry", "gone.onnx"], "gone.onnx"),
+    "not finite": ([SUMO, "--entry", "{nan}"], "is not finite: 0/mean.bias"),
+    "too slow": ([SUMO, "--entry", "{slow}:slow"], "is too slow: decisions take"),
+    "twice": ([SUMO, "--entry", "{one}", "{copy}"], "is the same policy as one.safetensors: give each once"),
+    "a missing side": ([UNLIKE, "--entry", "blue=anymals-sumo"], "a policy for red is missing (1 for blue and 0"),
+    "a side unnamed": ([UNLIKE, "--entry", "anymals-sumo"], "does not name its side"),
+    "odd games": ([SUMO, "--entry", "{one}", "--games", "7"], "--games is 7: it must be even"),
+    "no such reference": ([SUMO, "--entry", "{one}", "--against", "king"], "There is no reference 'king'"),
+    "no task": (["--name", "x"], "league bench needs a TASK"),
+    "a program in an exact task": ([KUHN, "--entry", "{kuhn}"], "is a program, whose probabilities cannot be read"),
+    "no entries": (["page", "{folder}"], "has no entry"),
+    "no folder": (["rerate", "gone"], "gone is no folder"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bad")
+    rovers = TASKS[SUMO].sides["blue"]
+    (folder / "slow.py").write_text(SLOW)
+    found = {
+        "nan": network(folder / "nan.safetensors", rovers, broken=True), "slow": str(folder / "slow.py"),
+        "one": network(folder / "one.safetensors", rovers), "copy": str(folder / "copy.safetensors"),
+        "kuhn": gemm(folder / "kuhn.onnx", sees=10, acts=2), "folder": str(folder),
+    }  # fmt: skip
+    shutil.copy(found["one"], found["copy"])
+    return found
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_input_is_refused_in_one_line(case, bad, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words, why = REFUSED[case]
+    code, out, err = said(capsys, "bench", *(word.format(**bad) for word in words))
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert why in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_entry_is_never_written_over(entry, bad, capsys):
+    before = entry.read_bytes()
+    code, _, err = said(capsys, "bench", SUMO, "--entry", bad["one"], "--out", str(entry))
+    assert (code, "exists: give another --out" in err) == (2, True)
+    assert entry.read_bytes() == before
+
+
+def test_tasks_are_listed_and_described(capsys):
+    assert all(name in said(capsys, "bench", "--list")[1] for name in TASKS)
+    out = said(capsys, "bench", UNLIKE)[1]
+    assert "anymal:56:12+anymal:56:12" in out
+    assert "wait for GPU time" in out
+    assert "--entry blue=FILE red=FILE" in out

@@ -1,0 +1,95 @@
+"""Metrics follow from rows alone: who broke a game lost it, seeds are compared, attackers count by their best."""
+
+from league.runs.bench import attackers, metrics, references, rerating
+from league.runs.bench.games import match_of
+from league.runs.bench.references import Reference, ReferenceSet
+from league.runs.bench.tasks import find
+
+SUMO, PURSUIT = find("t1-sumo-rovers-v1"), find("t5-pursuit-v1")
+
+
+def row(a: str, b: str, wins: int, draws: int, losses: int, **also):
+    zero = {"first_side": [0, 0, 0], "seed_pairs": [0] * 5, "voids": 0, "voids_by_a": 0, "voids_by_b": 0, "steps": 1}
+    return {"a": a, "b": b, "seed": 1, "results": [wins, draws, losses], **zero, **also}
+
+
+def scripts(*names: str, team: str | None = None) -> tuple[Reference, ...]:
+    return tuple(Reference(name, "script", team) for name in names)
+
+
+def test_a_game_that_its_own_robots_broke_is_lost():
+    match = match_of(row("e1", "idle", 8, 0, 0, voids=3, voids_by_a=2), SUMO)
+    assert (match.wins, match.losses, match.voids, match.voids_a) == (8, 2, 1, 0)
+
+
+def test_who_breaks_more_than_a_hundredth_of_its_games_has_no_rank():
+    known = ReferenceSet(scripts("idle"), (), "")
+    for broken, ranked in ((1, True), (2, False)):
+        rows = [row("e1", "idle", 100 - broken, 0, 0, voids=broken, voids_by_a=broken)]
+        (found,) = metrics.metrics(SUMO, ["e1"], rows, known)["policies"]
+        assert found["ranked"] is ranked
+        assert found["own_voids"] == broken / 100
+
+
+def test_the_stronger_of_two_has_the_higher_rating_and_the_worst_score_is_the_lowest():
+    known = ReferenceSet(scripts("idle", "pusher"), (row("idle", "pusher", 10, 0, 54),), "")
+    rows = [
+        row("e1", "idle", 60, 0, 4), row("e1", "pusher", 32, 0, 32), row("e2", "idle", 32, 0, 32),
+        row("e2", "pusher", 10, 0, 54), row("e1", "e2", 48, 0, 16),
+    ]  # fmt: skip
+    found = metrics.metrics(SUMO, ["e1", "e2"], rows, known)
+    strong, weak = found["policies"]
+    assert strong["rating"]["elo"] > 1000 > weak["rating"]["elo"]
+    assert strong["worst"]["against"] == "pusher"
+    assert strong["worst"]["score"] == 0.5
+    assert found["relative_population_performance"] == {"blue": 0.5}  # e1 is better against both, and even with pusher
+    assert found["cross_play"]["spread"] == 0.25
+
+
+def test_a_rating_does_not_depend_on_the_policies_beside_it():
+    known = ReferenceSet(scripts("idle", "pusher"), (row("idle", "pusher", 10, 0, 54),), "")
+    rows = [row("e1", "idle", 60, 0, 4), row("e1", "pusher", 32, 0, 32)]
+    other = [row("e2", "idle", 1, 0, 63), row("e2", "pusher", 1, 0, 63), row("e1", "e2", 64, 0, 0)]
+    alone = metrics.metrics(SUMO, ["e1"], rows, known)["policies"][0]
+    assert metrics.metrics(SUMO, ["e1", "e2"], rows + other, known)["policies"][0] == alone
+
+
+def test_unlike_sides_are_rated_each_and_seeds_that_fit_each_other_are_seen():
+    known = ReferenceSet(
+        (*scripts("chaser:predators", team="predators"), *scripts("runner:prey", team="prey")),
+        (row("chaser:predators", "runner:prey", 32, 0, 32),), "",
+    )  # fmt: skip
+    names = ["e1:predators", "e2:predators", "e1:prey", "e2:prey"]
+    rows = [row(name, "runner:prey" if "pred" in name else "chaser:predators", 40, 0, 24) for name in names]
+    rows += [row(names[i], names[2 + j], 16 if i == j else 48, 0, 48 if i == j else 16) for i in (0, 1) for j in (0, 1)]
+    found = metrics.metrics(PURSUIT, names, rows, known)
+    assert all(each["rating"]["elo"] > 1000 for each in found["policies"])
+    assert found["cross_play"]["off_diagonal_less_diagonal"] == 0.5
+    assert set(found["relative_population_performance"]) == {"predators", "prey"}
+
+
+def test_the_best_attacker_counts_and_a_game_that_the_victim_broke_is_its_loss():
+    about = {"policy": "e1", "times": 1, "steps": 64}
+    rows = [
+        about | row("attacker", "e1", 10, 0, 20, voids=2, voids_by_b=2) | {"attacker_seed": 1},
+        about | row("attacker", "e1", 8, 0, 24) | {"attacker_seed": 2},
+    ]
+    (found,) = attackers.exploitability(SUMO, rows)
+    assert (found["attacker_seed"], found["score"], found["over"]) == (1, 12 / 32, -0.125)
+    assert attackers.exploitability(SUMO, []) is None
+
+
+def test_rows_that_do_not_give_the_figures_are_told_with_both():
+    known = references.of(SUMO)
+    rows = [row("e1", name, 40, 0, 24) for name in known.names]
+    told = {**metrics.metrics(SUMO, ["e1"], rows, known), "exploitability": None}
+    content = {
+        "name": "x", "task": SUMO.name, "references": known.digest, "policies": [{"name": "e1"}], "rows": rows,
+        "attacks": [], "metrics": told,
+    }  # fmt: skip
+    assert rerating.differences(content) == []
+    forged = content | {"rows": [row("e1", name, 41, 0, 23) for name in known.names]}
+    lines = rerating.differences(forged)
+    assert "policies[0].score.score is 0.625, and the rows give 0.640625" in lines
+    assert any("rating.elo" in line for line in lines)
+    assert "other references" in rerating.differences(content | {"references": "former"})[0]

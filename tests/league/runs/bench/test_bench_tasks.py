@@ -1,0 +1,59 @@
+"""The tasks are frozen: what the code builds today has their hashes and sides, and other code is refused."""
+
+from dataclasses import replace
+
+import pytest
+
+from league.config.schema import ConfigError
+from league.runs.bench import references
+from league.runs.bench.games import bench_league
+from league.runs.bench.tasks import TASKS, find
+from league.snapshots.codec import thaw
+from storage.errors import StorageError
+
+MOST = 1_500_000  # bytes that references add to the package
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
+def test_a_task_stays_what_it_was(task):
+    arena = task.build()
+    assert arena.config_hash == task.config_hash
+    assert {team.name: team.roster for team in arena.teams} == dict(task.sides)
+    assert arena.exchangeable or not task.alike
+
+
+def test_code_with_other_rules_is_refused_and_told_what_to_install():
+    with pytest.raises(ConfigError, match=r"frozen at configuration 0000.*install robot-league 0\.3\.0 with mujoco"):
+        replace(find("t0-kuhn-poker-v1"), config_hash="0000").build()
+
+
+@pytest.mark.parametrize("task", [t for t in TASKS.values() if not t.exact], ids=lambda task: task.name)
+def test_all_references_can_sit_on_their_sides(task):
+    known = references.of(task)
+    assert len(set(known.names)) == len(known.names) > 1
+    assert {each.team for each in known.references} == ({None} if task.alike else set(task.sides))
+    with bench_league(task, 2) as league:
+        for each in known.references:
+            references.bring_in(league.opened, task, each)
+        found = {s.name: s for s in league.opened.store.snapshots("bench")}
+        for each in known.references:
+            snapshot = found[each.name]
+            assert snapshot.roster == task.sides[each.team or "blue"]
+            assert thaw(league.opened.store, snapshot, league.evaluator.arena)
+        assert {row[side] for row in known.rows for side in "ab"} <= set(known.names)
+
+
+def test_reference_files_are_those_of_the_manifest_and_small():
+    listed = {each.file for task in TASKS.values() for each in references.of(task).references if each.file}
+    there = {file.name: file.stat().st_size for file in references.FOLDER.iterdir()}
+    assert {name for name in there if name.endswith(".safetensors")} == listed
+    assert sum(there.values()) < MOST
+
+
+def test_a_reference_that_changed_is_noticed(tmp_path, monkeypatch):
+    task = find("t1-sumo-rovers-v1")
+    learnt = next(each for each in references.of(task).references if each.file)
+    (tmp_path / learnt.file).write_bytes(b"another")
+    monkeypatch.setattr(references, "FOLDER", tmp_path)
+    with pytest.raises(StorageError, match="not the one of its manifest: reinstall"):
+        references.bring_in(None, task, learnt)  # type: ignore[arg-type]
