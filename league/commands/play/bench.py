@@ -9,6 +9,7 @@ from typing import Any
 from dashboards.tables import Column, render
 from league.commands.options import parse, positional
 from league.commands.progress_bar import Progress
+from league.config import text_files
 from league.config.schema import ConfigError
 from league.config.sections import check_name
 from league.runs.bench import tasks
@@ -48,6 +49,8 @@ class BenchOptions:
     """Steps of fresh attackers, which learn for so many and for three times as many (none: not measured)."""
     attackers: int = field(default=1, metadata={"low": 1, "high": 16})
     """Attackers of each policy, each with a seed of its own."""
+    curve: str | None = None
+    """A CSV file with lines SECONDS,FILE: policies of one training and their times, for the seconds to 75 %."""
     against: tuple[str, ...] = ()
     """References to meet, such as pusher,idle (none: all); the result is then a trial."""
 
@@ -87,7 +90,7 @@ def _measure(task: Task, options: BenchOptions) -> int:
         raise ConfigError(("out",), f"{path} exists: give another --out or --name, or remove it")
     request = Request(
         name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against,
-        attack=options.attack, attackers=options.attackers,
+        attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),
     )  # fmt: skip
     with Progress("league bench") as progress:
         content = evaluate(
@@ -98,6 +101,25 @@ def _measure(task: Task, options: BenchOptions) -> int:
     print(_result(task, content))
     print(f"Wrote {path}.")
     return 0
+
+
+def _curve(file: str | None) -> tuple[tuple[float, str], ...]:
+    """Return the times and policies in a CSV file. Raises ConfigError, one line with the line that is none."""
+    if file is None:
+        return ()
+    found = []
+    for number, line in enumerate(text_files.read(file).splitlines(), 1):
+        seconds, comma, policy = line.partition(",")
+        try:
+            time = float(seconds)
+        except ValueError:
+            time = -1.0
+        if not (comma and policy.strip() and 0 <= time < float("inf")):
+            raise ConfigError(
+                ("curve",), f"{file}, line {number}: {line[:80]!r} is not SECONDS,FILE, such as 60,a.onnx"
+            )
+        found.append((time, policy.strip()))
+    return tuple(found)
 
 
 def _listing() -> str:
@@ -147,6 +169,10 @@ def _result(task: Task, content: dict[str, Any]) -> str:
         )
         rows = [{"against": row["against"], "score": _percent(row), "games": row["games"]} for row in each["scores"]]
         lines.append(render(rows))
+    if content["curve"]:
+        reached = found["seconds_to_75"]
+        after = "is not reached" if reached is None else f"is reached after {reached:g} s of training"
+        lines.append(f"75 % against the references of the middle stage {after}.")
     for each in found["exploitability"] or []:
         lines.append(f"An attacker of {each['policy']} scores {_percent(each)} after {each['steps']:,} steps.")
     if content["trial"]:

@@ -17,7 +17,8 @@ Entries = Mapping[Path, Mapping[str, Any]]
 PLAYED = (
     Column("rank", decimals=0), Column("entry", no_wrap=True), Column("policies", decimals=0), "side",
     Column("elo", "Elo", 0), Column("error", "±", 0), Column("range", "lowest to highest"), "worst score",
-    "exploitability", Column("population", "population against references", 3), Column("voids", "void %", 2),
+    "exploitability", Column("seconds", "seconds to 75 %", 0),
+    Column("population", "population against references", 3), Column("voids", "void %", 2),
     Column("games", "games a pair"), "record", "package", "commit", "about",
 )  # fmt: skip
 EXACT = (
@@ -76,6 +77,7 @@ def _played_row(task: Task, entry: Mapping[str, Any], team: str) -> dict[str, An
         "error": float(np.sqrt((error**2).sum()) / len(own)),
         "range": f"{elo.min():.0f} to {elo.max():.0f}" if len(own) > 1 else None,
         "worst score": f"{_percent(worst)} against {worst['against']}", "exploitability": _attacked(entry, own),
+        "seconds": entry["metrics"]["seconds_to_75"],
         "population": population, "voids": 100 * float(np.mean([each["voids"] for each in own])),
         "games": entry["games"], "record": "trial" if entry["trial"] else "yes",
         "ranked": all(each["ranked"] for each in own),

@@ -51,11 +51,12 @@ class Entrant:
         return {"name": self.name, "team": self.team, "files": list(self.files), "kind": kind, "sha256": self.digest}
 
 
-def read(task: Task, words: Sequence[str]) -> list[Entrant]:
+def read(task: Task, words: Sequence[str], letter: str = "e") -> list[Entrant]:
     """Read the policies that words name: FILE where sides are alike, else TEAM=FILE, as often for each team.
 
     A FILE is what `league import` takes: a policy that `league export` wrote, one that comes with the package, x.onnx,
-    x.pt or x.py:function, with commas between those of several agents. Raises ConfigError or StorageError, one line.
+    x.pt or x.py:function, with commas between those of several agents. A policy's name is `letter` with a number.
+    Raises ConfigError or StorageError, one line.
     """
     by_team: dict[str, list[str]] = {team: [] for team in task.teams}
     for word in words:
@@ -72,7 +73,7 @@ def read(task: Task, words: Sequence[str]) -> list[Entrant]:
     found: list[Entrant] = []
     for team, files in by_team.items():
         for number, file in enumerate(files, 1):
-            entrant = _read(task, team, file, f"e{number}" if task.alike else f"e{number}:{team}")
+            entrant = _read(task, team, file, f"{letter}{number}" if task.alike else f"{letter}{number}:{team}")
             if twin := next((e for e in found if e.team == team and e.digest == entrant.digest), None):
                 raise ConfigError(("entry",), f"{file} is the same policy as {','.join(twin.files)}: give each once")
             found.append(entrant)

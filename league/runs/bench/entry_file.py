@@ -19,7 +19,7 @@ FORMAT = 1
 LIMIT = 2**24  # bytes
 KEYS = (
     "format", "name", "about", "task", "config_hash", "references", "package", "commit", "versions", "device", "engine",
-    "seed", "games", "trial", "seconds", "policies", "rows", "attacks", "metrics", "digest",
+    "seed", "games", "trial", "seconds", "policies", "rows", "attacks", "curve", "metrics", "digest",
 )  # fmt: skip
 
 

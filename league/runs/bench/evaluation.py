@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
@@ -15,7 +15,7 @@ from league.runs.bench import entrants as entries
 from league.runs.bench.attackers import exploitability
 from league.runs.bench.entrants import Entrant
 from league.runs.bench.games import BenchLeague, Row, bench_league
-from league.runs.bench.metrics import metrics
+from league.runs.bench.metrics import MIDDLE, metrics, seconds_to_75
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import BATCH, GAMES, Task
 from league.system.packages.versions import versions
@@ -37,6 +37,7 @@ class Request:
     against: tuple[str, ...] = ()  # names of references; empty: all
     attack: int | None = None  # steps of the shorter attack; None: exploitability is not measured
     attackers: int = 1  # seeds of attackers against each policy
+    curve: tuple[tuple[float, str], ...] = ()  # seconds of training and the policy's file then, of one training
 
     def __post_init__(self) -> None:
         if self.games < 2 or self.games % (2 if self.games <= BATCH else BATCH):
@@ -59,6 +60,7 @@ def evaluate(
     Raises ConfigError or StorageError, one line, for policies that do not fit, before anything is played.
     """
     entrants, known, began = entries.read(task, words), references.of(task), time.monotonic()
+    learnt = _of_curve(task, request, known)
     if not entrants:
         raise ConfigError(("entry",), f"league bench {task.name} needs --entry FILE: a policy to measure")
     seed = task.seed if request.seed is None else request.seed
@@ -66,39 +68,60 @@ def evaluate(
     rows, attacks = (
         (exact.rows(task, entrants), [])
         if task.exact
-        else _played(task, entrants, known, request, seed, progress, tell)
+        else _played(task, entrants, learnt, known, request, seed, progress, tell)
     )
+    times = sorted(seconds for seconds, _ in request.curve)
+    curve = [{**each.as_json(), "seconds": time} for each, time in zip(learnt, times, strict=True)]
     return {
         "format": entry_file.FORMAT, "name": request.name, "about": request.about, "task": task.name,
         "config_hash": task.config_hash, "references": known.digest, "package": versions().get("robot-league", "?"),
         "commit": code().get("commit"), "versions": versions(), "device": device(), "engine": "c", "seed": seed,
         "games": 0 if task.exact else request.games, "trial": request.trial and not task.exact,
         "seconds": round(time.monotonic() - began, 1), "policies": [e.as_json() for e in entrants], "rows": rows,
-        "attacks": attacks, "metrics": measured(task, [e.name for e in entrants], rows, attacks, known),
+        "attacks": attacks, "curve": curve,
+        "metrics": measured(task, [e.name for e in entrants], rows, attacks, curve, known),
     }  # fmt: skip
 
 
 def measured(
-    task: Task, policies: Sequence[str], rows: Sequence[Row], attacks: Sequence[Row], known: ReferenceSet
-) -> dict[str, Any]:
+    task: Task, policies: Sequence[str], rows: Sequence[Row], attacks: Sequence[Row],
+    curve: Sequence[Mapping[str, Any]], known: ReferenceSet,
+) -> dict[str, Any]:  # fmt: skip
     """Return all metrics of an entry, from its rows. Raises StorageError, one line, for damaged rows."""
     if task.exact:
         return exact.metrics(task, rows)
-    return {**metrics(task, policies, rows, known), "exploitability": exploitability(task, attacks)}
+    return {
+        **metrics(task, policies, rows, known),
+        "exploitability": exploitability(task, attacks),
+        "seconds_to_75": seconds_to_75(task, curve, rows, known),
+    }
+
+
+def _of_curve(task: Task, request: Request, known: ReferenceSet) -> list[Entrant]:
+    """Return the policies of a training, the earliest first. Raises ConfigError where there is nothing to measure."""
+    if not request.curve:
+        return []
+    if not task.alike or all(each.stage != MIDDLE for each in known.references):
+        raise ConfigError(("curve",), f"--curve: {task.name} has no reference of a middle stage for both sides yet")
+    return entries.read(task, [file for _, file in sorted(request.curve)], "c")
 
 
 def _played(
-    task: Task, entrants: Sequence[Entrant], known: ReferenceSet, request: Request, seed: int, progress: Progress,
-    tell: Callable[[str], None],
+    task: Task, entrants: Sequence[Entrant], learnt: Sequence[Entrant], known: ReferenceSet, request: Request,
+    seed: int, progress: Progress, tell: Callable[[str], None],
 ) -> tuple[list[Row], list[Row]]:  # fmt: skip
     """Return the rows of all games of an entry, and those of its attackers."""
     chosen = [each for each in known.references if not request.against or each.name in request.against]
     if unknown := set(request.against) - set(known.names):
         raise UnknownName("reference", min(unknown), known.names)
-    pairs, done, rows = [*_pairs(task, entrants, chosen), *missing(task, known, chosen)], 0, []
+    middle = [each.name for each in known.references if each.stage == MIDDLE]
+    pairs = [*_pairs(task, entrants, chosen), *missing(task, known, chosen)]
+    pairs += [(each.name, name) for each in learnt for name in middle]
+    chosen += [each for each in known.references if learnt and each.name in middle and each not in chosen]
+    done, rows = 0, []
     with bench_league(task, request.games) as league:
         bring_in(league, chosen)
-        for entrant in entrants:
+        for entrant in (*entrants, *learnt):
             entrant.add_to(league.opened)
         league.make_room()
 

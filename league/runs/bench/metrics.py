@@ -21,6 +21,7 @@ PRIOR = 4.0
 OWN_VOIDS = 0.01
 """Share of games that a policy may break by itself; above it an entry has no rank."""
 DIGITS = 6
+MIDDLE = "middle"
 
 
 def team_of(task: Task, name: str) -> str | None:
@@ -45,7 +46,8 @@ def metrics(
     Each policy has its rating from a fit of its own, so that it does not depend on the policies beside it.
     """
     own = {name: [row for row in rows if row["a"] == name and row["b"] in references.names] for name in policies}
-    found = [_of_policy(task, name, own[name], references) for name in policies]
+    between = [row for row in rows if row["a"] in references.names]
+    found = [_of_policy(task, name, own[name], between, references) for name in policies]
     return {
         "policies": found,
         "relative_population_performance": _relative(task, policies, own, references),
@@ -53,14 +55,17 @@ def metrics(
     }
 
 
-def _of_policy(task: Task, name: str, rows: Sequence[Row], references: ReferenceSet) -> dict[str, Any]:
+def _of_policy(
+    task: Task, name: str, rows: Sequence[Row], between: Sequence[Row], references: ReferenceSet
+) -> dict[str, Any]:
+    """Return a policy's metrics from its own rows and those of references that met beside it."""
     payoff = _payoff(task, rows)
     met = [row["b"] for row in rows]
     scores = {each: payoff.score(name, each) for each in dict.fromkeys(met)}
     worst = min(scores, key=lambda each: scores[each].score if scores[each].games else math.inf)
     games = sum(sum(row["results"]) + row["voids"] for row in rows)
     own = sum(row["voids_by_a"] for row in rows) / games
-    ratings = rated(task, rows, references)
+    ratings = rated(task, [*between, *rows], references)
     at = ratings.index(name)
     rating = {"elo": ratings.elo[at], "low": ratings.low[at], "high": ratings.high[at]}
     return {
@@ -70,6 +75,21 @@ def _of_policy(task: Task, name: str, rows: Sequence[Row], references: Reference
         "voids": round(sum(row["voids"] for row in rows) / games, DIGITS), "own_voids": round(own, DIGITS),
         "ranked": own <= OWN_VOIDS,
     }  # fmt: skip
+
+
+def seconds_to_75(
+    task: Task, curve: Sequence[Mapping[str, Any]], rows: Sequence[Row], references: ReferenceSet
+) -> float | None:
+    """Return the training time after which a policy first scores 75 % against the references of the middle stage.
+
+    `curve` has the `name` of each policy in the rows, and its `seconds`. None without a policy that does.
+    """
+    middle = [each.name for each in references.references if each.stage == MIDDLE]
+    for each in sorted(curve, key=lambda each: each["seconds"]):
+        own = [row for row in rows if row["a"] == each["name"] and row["b"] in middle]
+        if own and _payoff(task, own).score(each["name"], *middle).score >= 0.75:
+            return float(each["seconds"])
+    return None
 
 
 def _relative(

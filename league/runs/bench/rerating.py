@@ -18,7 +18,7 @@ def again(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the metrics of an entry that follow from its rows. Raises StorageError, one line, for damaged rows."""
     task, names = tasks.find(content["task"]), [each["name"] for each in content["policies"]]
     try:
-        return measured(task, names, content["rows"], content["attacks"], references.of(task))
+        return measured(task, names, content["rows"], content["attacks"], content["curve"], references.of(task))
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise StorageError(f"the rows of entry {content['name']} are damaged: {type(error).__name__} {error}") from None
 

@@ -103,6 +103,8 @@ REFUSED = {
     "a missing side": ([UNLIKE, "--entry", "blue=anymals-sumo"], "a policy for red is missing (1 for blue and 0"),
     "a side unnamed": ([UNLIKE, "--entry", "anymals-sumo"], "does not name its side"),
     "odd games": ([SUMO, "--entry", "{one}", "--games", "7"], "--games is 7: it must be even"),
+    "no curve": ([SUMO, "--entry", "{one}", "--curve", "{slow}"], "line 1: 'import time' is not SECONDS,FILE"),
+    "no middle": ([UNLIKE, "--entry", "blue=anymals-sumo", "red=leatherbacks-sumo", "--curve", "{curve}"], "--curve"),
     "no such reference": ([SUMO, "--entry", "{one}", "--against", "king"], "There is no reference 'king'"),
     "no task": (["--name", "x"], "league bench needs a TASK"),
     "a program in an exact task": ([KUHN, "--entry", "{kuhn}"], "is a program, whose probabilities cannot be read"),
@@ -116,10 +118,12 @@ def bad(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bad")
     rovers = TASKS[SUMO].sides["blue"]
     (folder / "slow.py").write_text(SLOW)
+    (folder / "curve.csv").write_text("60,anymals-sumo\n")
     found = {
         "nan": network(folder / "nan.safetensors", rovers, broken=True), "slow": str(folder / "slow.py"),
         "one": network(folder / "one.safetensors", rovers), "copy": str(folder / "copy.safetensors"),
         "kuhn": gemm(folder / "kuhn.onnx", sees=10, acts=2), "folder": str(folder),
+        "curve": str(folder / "curve.csv"),
     }  # fmt: skip
     shutil.copy(found["one"], found["copy"])
     return found

@@ -79,13 +79,22 @@ def test_the_best_attacker_counts_and_a_game_that_the_victim_broke_is_its_loss()
     assert attackers.exploitability(SUMO, []) is None
 
 
+def test_the_first_policy_of_a_training_that_beats_the_middle_counts():
+    middle = ReferenceSet((Reference("mid", "learnt", stage="middle"), Reference("idle", "script")), (), "")
+    curve = [{"name": f"c{i}", "seconds": 60.0 * i} for i in (3, 2, 1)]
+    rows = [row("c1", "mid", 47, 0, 17), row("c2", "mid", 48, 0, 16), row("c3", "mid", 60, 0, 4)]
+    rows += [row("c1", "idle", 64, 0, 0)]
+    assert metrics.seconds_to_75(SUMO, curve, rows, middle) == 120.0
+    assert metrics.seconds_to_75(SUMO, curve[2:], rows, middle) is None
+
+
 def test_rows_that_do_not_give_the_figures_are_told_with_both():
     known = references.of(SUMO)
     rows = [row("e1", name, 40, 0, 24) for name in known.names]
     told = {**metrics.metrics(SUMO, ["e1"], rows, known), "exploitability": None}
     content = {
         "name": "x", "task": SUMO.name, "references": known.digest, "policies": [{"name": "e1"}], "rows": rows,
-        "attacks": [], "metrics": told,
+        "attacks": [], "curve": [], "metrics": told | {"seconds_to_75": None},
     }  # fmt: skip
     assert rerating.differences(content) == []
     forged = content | {"rows": [row("e1", name, 41, 0, 23) for name in known.names]}
