@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from arenas import rosters
 from league.config.schema import ConfigError
 from league.queries.query import Open
@@ -106,8 +104,6 @@ def _read(task: Task, team: str, file: str, name: str) -> Entrant:
         raise ConfigError(
             ("entry",), f"{file} is a policy for {policy.about['roster']}, and {team} of {task.name} is {roster}"
         )
-    if broken := [key for key, array in policy.arrays.items() if not np.isfinite(array).all()]:
-        raise ConfigError(("entry",), f"{file} is not finite: {broken[0]} has a number that is none or infinite")
     if (size := sum(array.size for array in policy.arrays.values())) > PARAMETERS:
         raise ConfigError(("entry",), f"{file} is too slow: it has {size:,} parameters, and {PARAMETERS:,} are allowed")
     digest = hashlib.sha256(arrays.to_bytes(policy.arrays)).hexdigest()

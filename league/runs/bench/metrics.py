@@ -1,4 +1,4 @@
-"""What the rows of an entry's games say: pure functions of rows and references, so that anybody can repeat them."""
+"""Metrics from the rows of an entry's games: pure functions of rows and references, so that anybody can repeat them."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -97,7 +97,7 @@ REFUSED = {
     "another roster": ([SUMO, "--entry", "leatherbacks-sumo"], "leatherbacks-sumo is a policy for leatherback:14:2"),
     "no such task": (["t9", "--entry", "x.onnx"], "There is no task 't9' here; there is: t0-dark-hex-3-v1,"),
     "no such file": ([SUMO, "--entry", "gone.onnx"], "gone.onnx"),
-    "not finite": ([SUMO, "--entry", "{nan}"], "is not finite: 0/mean.bias"),
+    "not finite": ([SUMO, "--entry", "{nan}"], "agent 0's mean.bias is not finite"),
     "too slow": ([SUMO, "--entry", "{slow}:slow"], "is too slow: decisions take"),
     "twice": ([SUMO, "--entry", "{one}", "{copy}"], "is the same policy as one.safetensors: give each once"),
     "a missing side": ([UNLIKE, "--entry", "blue=anymals-sumo"], "a policy for red is missing (1 for blue and 0"),
