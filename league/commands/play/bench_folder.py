@@ -33,9 +33,10 @@ def page(args: list[str]) -> int:
     """Write the page of a folder of entries."""
     options = parse(PageOptions, spelt(args), "bench page", PAGE)
     from dashboards.web.document import document, script
-    from league.runs.bench import bench_page, entry_file
+    from league.runs.bench import bench_page, entry_file, rerating
 
     entries, path = entry_file.folder(Path(options.folder)), Path(options.out)
+    rerating.check(entries)
     script("plotly.js")  # its absence is told before anything is written
     text = document(bench_page.page(entries)).encode()
     with new_file(path) as file:

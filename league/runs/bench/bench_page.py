@@ -11,6 +11,7 @@ from dashboards.web import figures
 from dashboards.web.document import FigureBlock, Page, Part, Section, TableBlock
 from league.runs.bench import references
 from league.runs.bench.metrics import rated
+from league.runs.bench.rerating import is_former
 from league.runs.bench.tasks import GAMES, TASKS, Task
 
 Entries = Mapping[Path, Mapping[str, Any]]
@@ -35,13 +36,16 @@ def page(entries: Entries) -> Page:
         f" its 95 % interval; a record has {GAMES:,} games against each reference, a trial fewer. Entries of several"
         " policies (seeds) are ranked by their mean. docs/bench.md has the rules."
     )
+    if former := [entry for entry in entries.values() if is_former(entry)]:
+        rows = [{**_common(entry), "task": entry["task"]} for entry in former]
+        told = "These entries met other references than those of this version: `league bench` has to play them again."
+        sections.append(Section("former", "Former references", [told, _table(rows, (), "Former references")]))
     return Page("Robot League Bench", about, sections)
 
 
 def _own(task: Task, entries: Entries) -> list[Mapping[str, Any]]:
     """Return the entries of a task that met its references of today."""
-    digest = references.of(task).digest
-    return [each for each in entries.values() if each["task"] == task.name and each["references"] == digest]
+    return [each for each in entries.values() if each["task"] == task.name and not is_former(each)]
 
 
 def _section(task: Task, own: Sequence[Mapping[str, Any]]) -> Section:

@@ -21,6 +21,11 @@ KEYS = (
     "format", "name", "about", "task", "config_hash", "references", "package", "commit", "versions", "device", "engine",
     "seed", "games", "trial", "seconds", "policies", "rows", "attacks", "curve", "metrics", "digest",
 )  # fmt: skip
+TYPES: Mapping[str, Any] = {
+    **dict.fromkeys(("name", "about", "task", "config_hash", "references", "package", "device", "engine"), str),
+    **dict.fromkeys(("policies", "rows", "attacks", "curve"), list), "metrics": dict, "games": int, "trial": bool,
+    "commit": str | None,
+}  # fmt: skip
 
 
 class EntryError(StorageError):
@@ -64,6 +69,8 @@ def read(path: Path) -> dict[str, Any]:
         whole = False
     if not whole:
         raise EntryError(f"{path} was edited: its content is not that of its digest. Run `league bench` again.")
+    if wrong := [key for key, kind in TYPES.items() if not isinstance(content[key], kind)]:
+        raise EntryError(f"{path} is no entry of `league bench`: its {wrong[0]} is of another type.")
     check_task(path, content)
     return content
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from league.runs.bench import references, tasks
+from league.runs.bench.entry_file import EntryError
 from league.runs.bench.evaluation import measured
-from storage.errors import StorageError
 
 CLOSE = {"elo": 0.05, "low": 0.05, "high": 0.05}
 """Differences in Elo that floating-point numbers of another machine may make; all other numbers differ by `TINY`."""
@@ -15,12 +15,12 @@ TINY = 2e-6
 
 
 def again(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the metrics of an entry that follow from its rows. Raises StorageError, one line, for damaged rows."""
+    """Return the metrics of an entry that follow from its rows. Raises EntryError, one line, for damaged rows."""
     task, names = tasks.find(content["task"]), [each["name"] for each in content["policies"]]
     try:
         return measured(task, names, content["rows"], content["attacks"], content["curve"], references.of(task))
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise StorageError(f"the rows of entry {content['name']} are damaged: {type(error).__name__} {error}") from None
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
+        raise EntryError(f"The rows of entry {content['name']} are damaged: {type(error).__name__} {error}.") from None
 
 
 def differences(content: Mapping[str, Any]) -> list[str]:
@@ -28,11 +28,22 @@ def differences(content: Mapping[str, Any]) -> list[str]:
 
     An entry that met other references than those of today is one line too.
     """
-    task = tasks.find(content["task"])
-    if content["references"] != references.of(task).digest:
+    if is_former(content):
         return ["it met other references than those of this version: run `league bench` again"]
     found = again(content)
     return [line for key in found for line in _unlike(key, content["metrics"].get(key), found[key])]
+
+
+def is_former(content: Mapping[str, Any]) -> bool:
+    """Return whether an entry met other references than those of this version."""
+    return content["references"] != references.of(tasks.find(content["task"])).digest
+
+
+def check(entries: Mapping[Path, Mapping[str, Any]]) -> None:
+    """Raise EntryError, one line, for the first entry whose rows contradict its figures."""
+    for path, content in entries.items():
+        if not is_former(content) and (lines := differences(content)):
+            raise EntryError(f"{path} contradicts itself: {lines[0]}. `league bench rerate` tells all.")
 
 
 def _unlike(where: str, told: Any, found: Any) -> Iterator[str]:

@@ -77,6 +77,26 @@ def test_a_forged_entry_is_noticed_by_its_rows(entry, tmp_path, capsys):
     code, out, _ = said(capsys, "bench", "rerate", str(tmp_path))
     assert code == 1
     assert "rating.elo is" in out
+    code, _, err = said(capsys, "bench", "page", str(tmp_path), "--out", str(tmp_path / "x.html"))
+    assert (code, err.count("\n"), "contradicts itself" in err) == (2, 1, True)
+
+
+@pytest.mark.parametrize(
+    "change", [{"rows": [{"a": "e1", "b": "idle"}]}, {"name": 3}, {"policies": [{}]}, {"rows": []}]
+)
+def test_an_entry_of_another_form_is_refused_in_one_line(change, entry, tmp_path, capsys):
+    content = {**json.loads(entry.read_text()), **change}
+    entry_file.write(tmp_path / "mine.json", content)
+    for command in (("rerate", str(tmp_path)), ("page", str(tmp_path), "--out", str(tmp_path / "x.html"))):
+        code, _, err = said(capsys, "bench", *command)
+        assert (code, err.count("\n")) == (2, 1), err
+
+
+def test_an_entry_against_former_references_is_listed_apart(entry, tmp_path, capsys):
+    content = json.loads(entry.read_text()) | {"references": "0" * 64}
+    entry_file.write(tmp_path / "mine.json", content)
+    assert said(capsys, "bench", "page", str(tmp_path), "--out", str(tmp_path / "x.html"))[0] == 0
+    assert "Former references" in (tmp_path / "x.html").read_text("utf-8")
 
 
 def test_an_exact_entry_has_the_exploitability_of_its_policy(tmp_path, capsys):
