@@ -14,6 +14,7 @@ from league.config.schema import ConfigError
 from league.config.sections import check_name
 from league.runs.bench import tasks
 from league.runs.bench.tasks import GAMES, TASKS, Task
+from storage.blobs.files import require_writable
 
 WHAT = """Measure a policy against the public references of a frozen task, and write the result as one JSON file:
 `league bench TASK --entry FILE ...`, several files for several seeds, and TEAM=FILE where the sides are unlike. A FILE
@@ -55,6 +56,9 @@ class BenchOptions:
     """References to meet, such as pusher,idle (none: all); the result is then a trial."""
 
 
+OF_GAMES = ("games", "seed", "attack", "attackers", "curve", "against")
+
+
 def bench(args: list[str]) -> int:
     """Measure an entry, list the tasks, or hand over to `page` and `rerate`."""
     if args and args[0] in ("page", "rerate"):
@@ -88,6 +92,10 @@ def _measure(task: Task, options: BenchOptions) -> int:
     path = Path(options.out or f"{task.name}-{options.name}.json")
     if path.exists():
         raise ConfigError(("out",), f"{path} exists: give another --out or --name, or remove it")
+    require_writable(path)
+    default = BenchOptions()
+    if task.exact and (given := [each for each in OF_GAMES if getattr(options, each) != getattr(default, each)]):
+        raise ConfigError((given[0],), f"--{given[0]} is for games, and {task.name} plays none: leave it out")
     request = Request(
         name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against,
         attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),

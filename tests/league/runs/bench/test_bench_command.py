@@ -128,6 +128,8 @@ REFUSED = {
     "no such reference": ([SUMO, "--entry", "{one}", "--against", "king"], "There is no reference 'king'"),
     "no task": (["--name", "x"], "league bench needs a TASK"),
     "a program in an exact task": ([KUHN, "--entry", "{kuhn}"], "is a program, whose probabilities cannot be read"),
+    "games in an exact task": ([KUHN, "--entry", "{kuhn}", "--attack", "9"], "--attack is for games, and t0-kuhn"),
+    "no place": ([SUMO, "--entry", "{one}", "--out", "gone/x.json"], "gone"),
     "no entries": (["page", "{folder}"], "has no entry"),
     "no folder": (["rerate", "gone"], "gone is no folder"),
 }  # fmt: skip
