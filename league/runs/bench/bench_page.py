@@ -16,11 +16,12 @@ from league.runs.bench.tasks import GAMES, TASKS, Task
 
 Entries = Mapping[Path, Mapping[str, Any]]
 PLAYED = (
-    Column("rank", decimals=0), Column("entry", no_wrap=True), Column("policies", decimals=0), "side",
-    Column("elo", "Elo", 0), Column("error", "±", 0), Column("range", "lowest to highest"), "worst score",
-    "exploitability", Column("seconds", "seconds to 75 %", 0),
-    Column("population", "population against references", 3), Column("voids", "void %", 2),
-    Column("games", "games a pair"), "record", "package", "commit", "about",
+    Column("rank", decimals=0), Column("entry", no_wrap=True), "record", Column("elo", "Elo", 0),
+    Column("error", "±", 0),
+    Column("range", "lowest to highest"), Column("worst score", no_wrap=True), "exploitability",
+    Column("voids", "void %", 2), Column("policies", decimals=0), "side", Column("games", "games a pair"),
+    Column("population", "population against references", 3), Column("seconds", "seconds to 75 %", 0), "package",
+    "commit", "about",
 )  # fmt: skip
 EXACT = (
     Column("rank", decimals=0), Column("entry", no_wrap=True), Column("policies", decimals=0),
@@ -32,7 +33,7 @@ def page(entries: Entries) -> Page:
     """Return the page of these entries, a section for each task that has one."""
     sections = [_section(task, own) for task in TASKS.values() if (own := _own(task, entries))]
     about = (
-        f"{len(entries)} entries. A rating counts from the mean of a task's public references, which is 1000 Elo, with"
+        f"Entries: {len(entries)}. A rating counts from the mean of a task's public references, which is 1000 Elo, with"
         f" its 95 % interval; a record has {GAMES:,} games against each reference, a trial fewer. Entries of several"
         " policies (seeds) are ranked by their mean. docs/bench.md has the rules."
     )
@@ -60,7 +61,7 @@ def _section(task: Task, own: Sequence[Mapping[str, Any]]) -> Section:
         parts += [
             _table(rows, PLAYED, title),
             _ladder(task, own, team, title),
-            _table(_scores(task, own, team), (), title),
+            _table(_scores(task, own, team), (), f"{title}: scores"),
         ]
     return Section(task.name, task.name, parts)
 
