@@ -1,9 +1,10 @@
 """Metrics follow from rows alone: who broke a game lost it, seeds are compared, attackers count by their best."""
 
-from league.runs.bench import attackers, metrics, references, rerating
+from league.runs.bench import attackers, entry_file, metrics, references, rerating
 from league.runs.bench.games import match_of
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import find
+from tests.league.conftest import ROOT
 
 SUMO, PURSUIT = find("t1-sumo-rovers-v1"), find("t5-pursuit-v1")
 
@@ -102,3 +103,8 @@ def test_rows_that_do_not_give_the_figures_are_told_with_both():
     assert "policies[0].score.score is 0.625, and the rows give 0.640625" in lines
     assert any("rating.elo" in line for line in lines)
     assert "other references" in rerating.differences(content | {"references": "former"})[0]
+
+
+def test_the_entries_of_the_repository_are_what_their_rows_give():
+    entries = entry_file.folder(ROOT / "benchmarks" / "entries")
+    assert rerating.of_folder(entries) == {path: [] for path in entries}
