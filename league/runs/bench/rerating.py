@@ -16,8 +16,9 @@ TINY = 2e-6
 
 def again(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the metrics of an entry that follow from its rows. Raises EntryError, one line, for damaged rows."""
-    task, names = tasks.find(content["task"]), [each["name"] for each in content["policies"]]
+    task = tasks.find(content["task"])
     try:
+        names = [each["name"] for each in content["policies"]]
         return measured(task, names, content["rows"], content["attacks"], content["curve"], references.of(task))
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise EntryError(f"The rows of entry {content['name']} are damaged: {type(error).__name__} {error}.") from None
