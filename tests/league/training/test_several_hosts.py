@@ -255,7 +255,12 @@ def test_what_diverges_is_a_setback_of_its_player_the_ranks_go_on_and_a_stop_end
         spoil(store, "blue")
     with managed(tmp_path, *ENDLESS, "--no-deterministic") as manager, ranks(tmp_path, 0, 1) as both:
         wait_for(tmp_path, lambda store: any(player.paused for player in store.players(LEAGUE)))
-        learning(tmp_path, both)
+
+        def red_learns(store: Store) -> bool:
+            found = [worker.status for worker in store.workers(LEAGUE, 5)]
+            return any(each.get("iteration") and each["learners"] == ["red"] for each in found)
+
+        wait_for(tmp_path, red_learns)
         assert [process.poll() for process in both] == [None, None]
         assert call("stop", "--league", LEAGUE, cwd=tmp_path).returncode == 0
         assert codes(both) == [0, 0], said(tmp_path, 0) + said(tmp_path, 1)
