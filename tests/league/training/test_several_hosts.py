@@ -86,7 +86,7 @@ def ranks(
 
 
 def codes(processes: list[subprocess.Popen]) -> list[int]:
-    return [process.wait(180) for process in processes]
+    return [process.wait(400) for process in processes]
 
 
 def said(folder: Path, rank: int) -> str:
