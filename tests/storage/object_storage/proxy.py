@@ -106,6 +106,7 @@ class Proxy:
         if faults.silent:
             self.requests["silent"] += 1
             await self._ended.wait()
+            return self._disconnect(request, web.Response())
         if faults.limit and self._too_many(faults.limit):
             return self._error(503, "SlowDown")
         body = await _body(request, faults)
