@@ -17,6 +17,7 @@ import csv
 import json
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -37,7 +38,7 @@ from league.config import experiment as configuration
 from league.config.sections import PlayerSettings
 from league.state.jobs import RatingMatch, encode
 from matchmaking.ratings.davidson import davidson
-from scripts.record import make_parser, report, run_info
+from scripts.record import commit, make_parser, report, run_info, write
 from storage.database.rows import row_of
 from storage.errors import NotAStore
 from storage.records import (
@@ -255,13 +256,15 @@ def results(file: Path, players: int, rows: int, seed: int = 0) -> None:
 
 def timed(line: list[str], out: Path, limit: float) -> dict[str, Any]:
     """Time a process from its start to its end; give it up after `limit` seconds."""
+    watched = [sys.executable, "-c", WATCHED, str(out), *line]
+    process = subprocess.Popen(watched, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", WATCHED, str(out), *line], capture_output=True, text=True, timeout=limit, check=True
-        )
+        printed, _ = process.communicate(timeout=limit)
     except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)  # the command too
+        process.wait()
         return {"seconds": None, "above": limit}
-    took, used, resident, code, *error = done.stdout.split(maxsplit=4)
+    took, used, resident, code, *error = printed.split(maxsplit=4)
     found = {"seconds": round(float(took), 2), "processor_seconds": round(float(used), 2),
              "resident_mb": round(float(resident)), "code": int(code)}  # fmt: skip
     return found | ({"said": error[0].strip()[:200]} if int(code) else {})
@@ -315,6 +318,7 @@ def measured(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         if title == "manager" and not found[title].get("code", 1):
             found[title] |= json.loads(out.read_text())
         print(title, found[title], file=sys.stderr, flush=True)
+        write({"commit": args.commit or commit(), **asdict(size), **found}, args.out)  # in case that it is cut off
     return found
 
 

@@ -38,10 +38,13 @@ def part(file: Path) -> dict[str, Any]:
     samples = [line for line in lines if "roles" in line]
     ended = next((line for line in lines if "ended" in line), {"ended": samples[-1]["time"], "exits": []})
     return {
-        "name": name(file), "goes_on_from": first["origin"],
-        "hours": round((ended["ended"] - first["began"]) / 3600, 3), "exits": ended["exits"], "wal_mb_max": round(max(s["disk"]["wal"] for s in samples), 2),
+        "name": name(file),
+        "goes_on_from": first["origin"],
+        "hours": round((ended["ended"] - first["began"]) / 3600, 3),
+        "exits": ended["exits"],
+        "wal_mb_max": round(max(s["disk"]["wal"] for s in samples), 2),
         "blocks": blocks(samples, first["began"]),
-    }  # fmt: skip
+    }
 
 
 def blocks(samples: Sequence[Mapping[str, Any]], began: float) -> Blocks:
