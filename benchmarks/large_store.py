@@ -130,9 +130,9 @@ class Size:
     def settings(self) -> str:
         """Settings of the league, as TOML."""
         if self.players == len(PLAYERS):
-            return configuration.dumps(CONFIG)
+            return configuration.dumps(CONFIG, comments=False)
         own = (PlayerSettings(PLAYERS[p.team], p.name, group=p.group) for p in self.all_players)
-        return configuration.dumps(replace(CONFIG, players=tuple(own)))
+        return configuration.dumps(replace(CONFIG, players=tuple(own)), comments=False)
 
 
 def snapshots(size: Size, digests: Sequence[str]) -> list[Snapshot]:

@@ -67,12 +67,11 @@ def main() -> None:
     args.pack = args.pack or args.folder / PACK
     if limit := seconds(args.duration):
         Part(args).run(limit)
-    found = json.loads(args.out.read_text()) if args.out.exists() else {"parts": []}
-    for file in sorted(args.folder.glob("part-*.jsonl")):
-        if soak_report.name(file) not in [part["name"] for part in found["parts"]]:
-            found["parts"].append(soak_report.part(file))
-    found["parts"].sort(key=lambda part: part["name"])
-    result = {**run_info(args.commit), "parts": found["parts"], "report": soak_report.report(found["parts"])}
+    known = json.loads(args.out.read_text())["parts"] if args.out.exists() else []
+    here = [soak_report.part(file) for file in args.folder.glob("part-*.jsonl")]  # those of lost machines are not
+    by_name = {each["name"]: each for each in (*known, *here)}
+    parts = [by_name[name] for name in sorted(by_name)]
+    result = {**run_info(args.commit), "parts": parts, "report": soak_report.report(parts)}
     soak_report.write(result, args.out)
     print(json.dumps(result["report"], indent=1))
 

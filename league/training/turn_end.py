@@ -171,8 +171,8 @@ class TurnFinalizer:
 
     @cached_property
     def _settings(self) -> str:
-        """The configuration as text, with the code that runs, as each snapshot keeps it."""
-        return configuration.dumps(self.config) + made_by()
+        """The configuration as text, with the code that runs, as each snapshot keeps it: short, for there are many."""
+        return configuration.dumps(self.config, comments=False) + made_by()
 
     def _due(self, player: Player, last: Snapshot) -> bool:
         """Return whether a snapshot is due.
