@@ -29,7 +29,7 @@ environment.prepare()
 
 from benchmarks import soak_report
 from league.config.durations import seconds
-from scripts.record import make_parser, run_info
+from scripts.record import commit, make_parser, run_info
 from storage.errors import StorageError
 from storage.store import Store
 
@@ -91,7 +91,8 @@ class Part:
         origin = self._restore(store)
         samples = self.args.folder / time.strftime("part-%Y%m%dT%H%M%SZ.jsonl", time.gmtime(began))
         with samples.open("w") as out:
-            print(json.dumps({"origin": origin, "began": began, "every": EVERY}), file=out, flush=True)
+            head = {"origin": origin, "began": began, "every": EVERY, "commit": self.args.commit or commit()}
+            print(json.dumps(head), file=out, flush=True)
             thinned = sampled = time.monotonic()
             try:
                 while time.time() < began + limit:

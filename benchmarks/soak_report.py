@@ -39,6 +39,7 @@ def part(file: Path) -> dict[str, Any]:
     ended = next((line for line in lines if "ended" in line), {"ended": samples[-1]["time"], "exits": []})
     return {
         "name": name(file),
+        "commit": first.get("commit", "unknown"),
         "goes_on_from": first["origin"],
         "hours": round((ended["ended"] - first["began"]) / 3600, 3),
         "exits": ended["exits"],
@@ -114,18 +115,22 @@ def slope(parts: Sequence[Blocks], key: str, logarithm: bool = False) -> dict[st
     return {"per_hour": float(f"{middle:.3g}"), "low": float(f"{low:.3g}"), "high": float(f"{high:.3g}")}
 
 
+def slopes(parts: Sequence[Blocks]) -> dict[str, dict[str, float] | None]:
+    """Return the slopes per hour of memory, handles, threads and disk, with their units."""
+    return {f"{key} ({unit})": slope(parts, key) for key, unit in SLOPES.items()}
+
+
 def report(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return what all parts say together."""
     own = [each["blocks"] for each in parts if each["blocks"]]
     hours = sum(each["hours"] for each in parts)
-    grown = [slope([b], "database") for b in own]
     return {
         "hours": round(hours, 2), "of_hours": HOURS, "parts": len(parts),
         "new_leagues": sum(each["goes_on_from"] == "nothing" for each in parts),
         "restarts_of_the_league": sum(len(each["exits"]) for each in parts),
         "wal_mb_max": max((each["wal_mb_max"] for each in parts), default=0.0),
-        "slopes": {f"{key} ({unit})": slope(own, key) for key, unit in SLOPES.items()},
-        "database_mb_per_hour_of_each_part": [each and each["per_hour"] for each in grown],
+        "slopes": slopes(own),
+        "slopes_of_each_part": {each["name"]: slopes([each["blocks"]]) for each in parts if each["blocks"]},
         "drift_percent": {key: slope(own, key, logarithm=True) for key in SPEEDS},
         "steps": max((b["steps"][-1] for b in own), default=0),
         "rated_games": max((b["games"][-1] for b in own), default=0),
