@@ -51,7 +51,7 @@ def surely_scores(config: "Config", state: LeagueState, player: str, other: str)
 def since(state: LeagueState, player: str) -> Snapshot:
     """Return the snapshot of a player's last copy: the last with another player's snapshot as parent, or the first."""
     frozen, history = state.by_name, state.history(player)
-    copied = [s for s in history if s.parent in frozen and frozen[s.parent].player != player]
+    copied = [s for s in history if (parent := frozen.get(s.parent or "")) is not None and parent.player != player]
     return copied[-1] if copied else history[0]
 
 

@@ -239,16 +239,16 @@ def sum_matches(
     keys, sums = pair[order[starts]], np.zeros((len(starts), 14), np.int64)
     if len(starts):
         np.add.reduceat(table[order, 2:], starts, out=sums)
-    counts: Sequence[np.ndarray] = np.split(sums, [3, 6, 11, 12], axis=1)
+    columns = np.split(sums, [3, 6, 11, 12], axis=1)
     if onto is not None:
         now = np.array([place[name] for name in onto.names], np.int64)
         trials[now] += onto.trials
         last[now] = np.maximum(last[now], onto.last)
         rankings = rankings.plus(onto.rankings.renumbered(now))
         before = (onto.home, onto.away, onto.pairs, onto.voids[:, None], onto.at_fault)
-        keys, counts = _merged(now[onto.first] * len(names) + now[onto.second], before, keys, counts)
+        keys, columns = _merged(now[onto.first] * len(names) + now[onto.second], before, keys, columns)
     first, second = np.divmod(keys, max(len(names), 1))
-    home, away, pairs, void, at_fault = counts
+    home, away, pairs, void, at_fault = columns
     key = next(iter(arenas), None)
     return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, key, rankings)
 
