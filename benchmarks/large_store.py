@@ -66,7 +66,7 @@ COMMANDS = {
     "payoff-csv": ["payoff", "--format", "csv"], "payoff-newest": ["payoff", "--newest"],
     "payoff-json": ["payoff", "--format", "json"], "meta": ["meta"],
     "meta-alpharank": ["meta", "--solver", "alpharank"],
-    "forgetting": ["forgetting"], "explain": ["explain", PLAYERS[0]], "curves": ["curves"],
+    "forgetting": ["forgetting"], "explain": ["explain", "{player}"], "curves": ["curves"],
     "curves-csv": ["curves", "--format", "csv"], "snapshots": ["snapshots"], "matches": ["matches"],
     "matches-csv": ["matches", "--format", "csv"], "status": ["status"], "report": ["report", "-o", "{out}"],
     "verify": ["verify"], "thin": ["thin", "--dry-run", "--snapshots", "2"],
@@ -302,7 +302,7 @@ def measured(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
     league = [sys.executable, "-m", "league"]
     asked: dict[str, list[str]] = {}
     for title, words in COMMANDS.items():
-        words = [word.format(out=folder / "page.html") for word in words]
+        words = [word.format(out=folder / "page.html", player=size.player(0)) for word in words]
         own = [] if title in ALONE else ["--league", LEAGUE]
         asked[title] = [*league, *words, *where, *own]
     asked["manager"] = [sys.executable, "-m", "benchmarks.manager_rounds", *where, "--league", LEAGUE]
