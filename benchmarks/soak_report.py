@@ -172,7 +172,7 @@ def draw(result: Mapping[str, Any], picture: Path) -> None:
                 axis.plot(at, each["blocks"].get(key, []), color=colour, lw=1.1, label=None if i else label)
                 start += each["hours"]
         axis.set(title=title, ylim=(0, None), xlim=(0, None))
-        axis.legend(frameon=False, loc="center right")
+        axis.legend(frameon=False, loc="best")
         axis.spines[["top", "right"]].set_visible(False)
     for axis in axes[1]:
         axis.set_xlabel(f"hours of {HOURS:g}")
