@@ -374,10 +374,10 @@ def load(path: Path) -> Config:
     return loads(read(path), str(path))
 
 
-def dumps(config: Config) -> str:
-    """Write the configuration as commented TOML that `loads` reads back unchanged."""
+def dumps(config: Config, comments: bool = True) -> str:
+    """Write the configuration as TOML, commented or not, that `loads` reads back unchanged."""
     try:
         base = default(config.arena.name)
     except ConfigError:
         base = None  # an arena that was never registered has no defaults
-    return toml.dumps(config, base) + parts.written(config.stages)
+    return toml.dumps(config, base, comments) + parts.written(config.stages)
