@@ -207,7 +207,7 @@ def test_what_no_league_can_use_is_refused_before_it_starts_in_one_line(tmp_path
 
 
 @pytest.mark.parametrize(("flags", "line"), [
-    ({"class": "mine"}, r"--learner\.class = \"mine\": must be happo, sac, or a class in a file of yours"),
+    ({"class": "mine"}, r"--learner\.class = \"mine\": must be happo, or a class in a file of yours"),
     ({"class": "my.py:Mine", "lr": "0.1"}, r"--learner\.lr = 0\.1: is a setting of happo, .* --learner\.settings\.lr"),
     ({"settings": "{lr = 1}"}, r"--learner\.settings = .*: are those of a class of yours; name it as learner\.class"),
 ])  # fmt: skip
