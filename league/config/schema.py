@@ -12,8 +12,9 @@ the name that the setting had before, and `values_formerly` those of names in a 
 `key` is its name where Python reserves that word. A class may have a dict `REMOVED`, from names of settings that it had
 to lines that say why they are gone: files and stored settings may have these, without effect. Conditions on several
 fields are checked in `__post_init__`, which raises ValueError("field: message") or ValueError("table.field: message"),
-or any other message about the whole table; bounds are checked before it. Numbers are finite. Without an upper bound of their own, floats are at most LARGEST and
-integers fit into 64 bits. Texts and lists are no longer than LONGEST and MOST.
+or any other message about the whole table; bounds are checked before it. Numbers are finite. Without an upper bound of
+their own, floats are at most LARGEST and integers fit into 64 bits. Texts and lists are no longer than LONGEST and
+MOST.
 """
 
 import ast
