@@ -20,7 +20,7 @@ from typing import Any
 from tests.faults.hunted import Lost
 
 PROGRAMS = ("systemd-nspawn", "debootstrap", "unshare", "nsenter")
-PACKAGES = "systemd,systemd-sysv,dbus"
+PACKAGES = "systemd,systemd-sysv,dbus,procps"
 PYTHON, MODULES = Path("/opt/python"), Path("/opt/modules")
 OWN = ("/", "/tmp", "/run", "/dev", "/dev/shm", "/var/tmp", "/home", "/root")
 
@@ -202,6 +202,16 @@ class Container:
         """Remove its control groups once they are empty."""
         self.wait(lambda: not any(self._members()), 60)
         for group in sorted((path for path in self._group.rglob("*") if path.is_dir()), reverse=True):
-            group.rmdir()
-        with suppress(FileNotFoundError):
-            self._group.rmdir()
+            self.wait(lambda group=group: _removed(group), 60)
+        self.wait(lambda: _removed(self._group), 60)
+
+
+def _removed(group: Path) -> bool:
+    """Remove a control group; return false while the kernel still holds processes in it that have ended."""
+    try:
+        group.rmdir()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    return True

@@ -189,14 +189,18 @@ def left_alone(case: Case) -> dict[str, int]:
 def killed(case: Case) -> dict[str, int]:
     """Kill the manager, twice, and one of its workers."""
     case.progress()
-    for before in range(2):
+    for starts in range(2):
         case.machine.call("systemctl", "kill", "--kill-whom=main", "--signal=KILL", "league")
-        case.machine.again(before)
+        case.machine.again(starts)
         case.progress()
     manager = case.machine.shows("MainPID")
-    workers = case.machine.call("pgrep", "--parent", manager, "--full", "spawn_main").split()
-    case.machine.call("kill", "-KILL", workers[0])
-    case.progress()
+
+    def workers() -> list[str]:
+        return case.machine.call("pgrep", "--parent", manager, "--full", "spawn_main").split()
+
+    before, (first, *_) = len(workers()), workers()
+    case.machine.call("kill", "-KILL", first)
+    case.machine.wait(lambda: first not in workers() and len(workers()) >= before, 300, case.machine.journal)
     if case.machine.shows("MainPID") != manager:
         raise Lost("the manager did not survive its worker")
     return {"managers killed": 2, "workers killed": 1}
@@ -289,7 +293,7 @@ def main() -> int:
     """Run the cases; return 1 if anything was lost."""
     parser = make_parser(__doc__)
     parser.add_argument("--cases", nargs="+", choices=CASES, default=[*CASES])
-    parser.add_argument("--steps", type=int, default=2560, help="of training in a league")
+    parser.add_argument("--steps", type=int, default=1280, help="of training in a league")
     parser.add_argument("--base", type=Path, help="files of a Debian, made there if they are not (build/debian)")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # machines are ended then too
