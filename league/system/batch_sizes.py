@@ -20,7 +20,7 @@ class Batch(NamedTuple):
 
 
 CPU_WORLDS = 256  # more worlds make updates rarer
-GPU_WORLDS: Mapping[str, int] = {"anymal-walk": 2048, "walk": 2048, "sumo-2v2": 4096}
+GPU_WORLDS: Mapping[str, int] = {"anymal-walk": 2048, "walk": 2048, "block-push-anymal": 2048, "sumo-2v2": 4096}
 """Worlds of training on a GPU that reached a fixed strength soonest, by arena (`experiments/worlds.py` and
 `benchmarks/strength.py`)."""
 OTHER_GPU_WORLDS = 8192

@@ -23,9 +23,11 @@ def duel() -> Config:
 
 
 def rovers() -> Config:
-    """2v2 rovers as in the quick start, with larger networks and a longer horizon, until stopped; for a GPU."""
+    """2v2 rovers as in the quick start, with a larger network for both of a team and a longer horizon, until stopped;
+    for a GPU.
+    """
     config = default("sumo-2v2")
-    learner = replace(config.learner, architecture=Architecture((128, 128)), gamma=0.99)
+    learner = replace(config.learner, architecture=Architecture((128, 128)), share_actors=True, gamma=0.99)
     training = replace(config.training, snapshots_per_doubling=2)
     return replace(config, league="rovers", learner=learner, training=training)
 
