@@ -1,4 +1,4 @@
-"""What the plan takes from the newest part of each player's learning curve, read again only for those that went on.
+"""The newest part of each player's learning curve, as the plan takes it: read again only for those that went on.
 
 A curve grows only in the transaction that writes its player's checkpoint, so an equal checkpoint means an equal curve.
 """
