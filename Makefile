@@ -5,6 +5,8 @@ STAMP := .venv/.installed
 USABLE := .venv/.usable
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Images of containers often set this; each of hundreds of processes of the tests would then compile our files anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: league setup check style types test quick test-slow test-gpu site clean
 
@@ -35,10 +37,13 @@ test: style  ## What must pass before a change is shared. Types, a minute of one
 quick: $(STAMP)
 	$(QUICKLY) $(BIN)/pytest -rs -m "not slow and not gpu" -n 2 --dist loadfile --no-loadscope-reorder
 
-# Leagues wait for each other's processes, so three of these tests keep two cores busy.
+# Leagues wait for each other's processes, so three of these tests keep two cores busy. Only files with such tests are
+# collected, which saves each process ten seconds; tests/conftest.py refuses a mark that does not stand in a test's file.
+WITH = $$(grep -rl --include='test_*.py' 'mark\.$(1)' tests | sort)
+
 test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile, and whole leagues.
-	$(QUICKLY) $(BIN)/pytest -rs -m "slow and not optimised and not gpu" -n 3 --dist worksteal
-	$(BIN)/pytest -rs -m "slow and optimised and not gpu" -n 2 --dist worksteal
+	$(QUICKLY) $(BIN)/pytest -rs -m "slow and not optimised and not gpu" -n 3 --dist worksteal $(call WITH,slow)
+	$(BIN)/pytest -rs -m "slow and optimised and not gpu" -n 2 --dist worksteal $(call WITH,optimised)
 
 test-gpu: $(STAMP)  ## On a machine with an NVIDIA GPU: all arenas and variants on the engines and kernels of GPUs.
 	$(BIN)/pytest -rs -v -m gpu

@@ -1,8 +1,9 @@
 """Settings of the learner. Imports nothing heavy, because configurations are also read where torch is not installed."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from arenas.arena_settings import Table
 
@@ -19,18 +20,22 @@ SQUASH_EDGE = 1 - 1e-6
 Method = Literal["happo", "mappo", "ippo", "hatrpo"]
 Precision = Literal["float32", "tf32", "bf16"]
 CriticInput = Literal["own", "all", "privileged", "same"]
-HAPPO, SAC = "happo", "sac"
-"""The learners that come with the league, among the values of `learner.class`."""
-READ_BY_SAC = ("sac", "gamma", "architecture", "initial_std", "fixed_order", "precision", "cuda_graphs")
-"""Keys of the section `learner` that the learner sac reads, beside those that all read."""
+HAPPO = "happo"
+"""The learner that comes with the league, among the values of `learner.class`."""
+REMOVED = {
+    "sac": f"the learner sac was removed, because {HAPPO} was faster wherever it was measured; use {HAPPO}, or commit"
+    " 7228567, the last one that has it"
+}
+"""Learners that an earlier version had, with a line for a person who asks for one. Leagues of theirs open as they are,
+and learn no more."""
 MAX_LAYERS = 32
 """Maximum number of hidden layers. Deeper networks without residual connections do not learn."""
 
 
 def check_class(value: str | None) -> None:
-    """Raise ValueError unless a text names a learner: happo, sac, or file.py:Class."""
-    if value not in (None, HAPPO, SAC) and not re.search(r"\.py:\w+$", value):
-        raise ValueError(f"must be {HAPPO}, {SAC}, or a class in a file of yours: my/learner.py:Mine")
+    """Raise ValueError unless a text names a learner: happo, file.py:Class, or one that was removed."""
+    if value not in (None, HAPPO, *REMOVED) and not re.search(r"\.py:\w+$", value):
+        raise ValueError(f"must be {HAPPO}, or a class in a file of yours: my/learner.py:Mine")
 
 
 def check_commands(values: tuple[str, ...]) -> None:
@@ -124,71 +129,10 @@ class SkillSettings:
 
 
 @dataclass(frozen=True)
-class ReplaySettings:
-    """Replay buffer of an off-policy learner; it lies on the learner's device."""
-
-    capacity: int = field(default=200_000, metadata={"low": 1, "high": 100_000_000})
-    """Decisions that are kept, one for each world and step; also the age at which one is forgotten, in environment
-    steps that the player learnt from."""
-    start: int = field(default=5_000, metadata={"low": 1})
-    """Decisions that are there before learning begins, at first and after a resume without `saved`."""
-    forget: Literal["never", "opponents"] = "never"
-    """opponents: decisions against opponents whom the player no longer meets are dropped at the start of a turn."""
-    saved: bool = False
-    """Keep the buffer in checkpoints, so that a resumed league goes on to the same bytes; at most 16 MiB. Without, the
-    buffer is empty after a resume, and learning waits for `start` decisions."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError if learning could never begin."""
-        if self.start > self.capacity:
-            raise ValueError(f"start: {self.start} decisions are never there; use replay.capacity or fewer")
-
-
-@dataclass(frozen=True)
-class SacSettings:
-    """Soft actor-critic with replay (docs/learning.md); other learners ignore this section.
-
-    Of the rest of `learner` it reads gamma, critic_input, architecture and initial_std (of the actors), fixed_order,
-    precision, cuda_graphs, and skill.
-    """
-
-    replay: ReplaySettings = field(default_factory=ReplaySettings)
-    """Replay buffer."""
-    lr: float = field(default=1e-3, metadata={"low": 0.0, "high": 1.0})
-    """Learning rate of actors and critics (Adam); that of temperatures is ten times as high."""
-    batch: int = field(default=1024, metadata={"low": 1, "high": 1_000_000})
-    """Decisions per gradient step."""
-    replay_ratio: float = field(default=4.0, metadata={"above": 0.0, "high": 10_000.0})
-    """Update-to-data ratio: decisions in gradient steps of the critic for each new decision."""
-    n_step: int = field(default=3, metadata={"low": 1, "high": 1000})
-    """Decisions whose rewards count before the critic's value, as far as the rollout and the episode go."""
-    actor_every: int = field(default=2, metadata={"low": 1, "high": 1000})
-    """Steps of the critic for each step of the actors."""
-    critic_hidden: tuple[int, ...] = field(default=(256, 256), metadata={"low": 1, "high": 8192, "most": MAX_LAYERS})
-    """Widths of the critics' hidden layers."""
-    bins: int = field(default=101, metadata={"low": 2, "high": 10_001})
-    """Bins of values, which the critics classify."""
-    tau: float = field(default=0.01, metadata={"above": 0.0, "high": 1.0})
-    """Share of the critics' weights that the target networks take over in each step."""
-    target_entropy: float = field(default=0.0, metadata={"low": -100.0, "high": 10.0})
-    """Entropy per number of an action, with its limit as unit, that the temperature is adapted to."""
-    temperature: float = field(default=0.01, metadata={"above": 0.0, "high": 100.0})
-    """Temperature at the start, in units of the scaled reward."""
-    max_grad_norm: float = field(default=10.0, metadata={"low": 0.0})
-    """Maximum norm of a gradient; larger ones are scaled down."""
-    sequence: bool = True
-    """Update a team's agents one after the other in random order, each with the new actions of those before it (HASAC);
-    false: all at once."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for critics without layers."""
-        if not self.critic_hidden:
-            raise ValueError("critic_hidden: must be at least one width")
-
-
-@dataclass(frozen=True)
 class HappoConfig:
     """Settings of the learner; the preset `harl_a` has HARL-A's values."""
+
+    REMOVED: ClassVar[Mapping[str, str]] = REMOVED  # each had a section of its own, which happo never read
 
     architecture: Architecture = field(default_factory=Architecture)
     """Networks of actors and critics."""
@@ -266,21 +210,15 @@ class HappoConfig:
     skill: SkillSettings = field(default_factory=SkillSettings)
     """Frozen policies through which agents act."""
     class_: str = field(default=HAPPO, metadata={"key": "class", "valid": check_class})
-    """The learner: happo; sac (`learner.sac`); or a class of yours, file.py:Class, which reads no other key of this
-    section but `settings`, `skill` and `critic_input` (docs/learners.md)."""
-    sac: SacSettings = field(default_factory=SacSettings)
-    """Settings of the learner sac."""
+    """The learner: happo, or a class of yours, file.py:Class, which reads no other key of this section but `settings`,
+    `skill` and `critic_input` (docs/learners.md)."""
     settings: Table = field(default_factory=Table)
     """Settings of a class of yours, with the keys that it takes: learner.settings.NAME."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for settings that contradict each other."""
-        if self.settings and self.class_ in (HAPPO, SAC):
+        if self.settings and self.class_ == HAPPO:
             raise ValueError("settings: are those of a class of yours; name it as learner.class")
-        if self.class_ == SAC and self.critic_input == "same":
-            raise ValueError("critic_input: sac's critics judge their own team's actions; use own, all or privileged")
-        if self.class_ == SAC and self.architecture.recurrent:
-            raise ValueError("architecture.recurrent: sac's actors have no memory; use 0, or happo")
         if self.method == "ippo" and self.critic_input != "own":
             raise ValueError("critic_input: ippo's critics see what their own agents see; use own, or another method")
         if self.skill.policies and self.architecture.recurrent:

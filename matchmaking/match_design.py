@@ -56,9 +56,10 @@ def missing_pairs(
     """
     found: dict[frozenset[str], tuple[tuple[int, bool, int, int], tuple[str, str]]] = {}
     for order, (name, own) in enumerate(required.items()):
-        played = _episodes(payoff, name)
-        for place, other in enumerate(own.order):
-            episodes = int(played[payoff.index(other)])
+        others = own.order
+        at = np.array([payoff.index(other) for other in others], int)
+        played = payoff.episodes_between(np.array(payoff.index(name)), at).tolist()
+        for place, (other, episodes) in enumerate(zip(others, played, strict=True)):
             if other == name or episodes >= (quota if target_episodes is None else target_episodes):
                 continue
             done = episodes // quota
@@ -67,12 +68,3 @@ def missing_pairs(
             pair = frozenset(entry[1])
             found[pair] = min(found.get(pair, entry), entry)
     return [pair for _, pair in sorted(found.values())]
-
-
-def _episodes(payoff: Payoff, name: str) -> np.ndarray:
-    """Return the episodes (P,) that a snapshot has played with each other one, void ones included."""
-    i, total = payoff.index(name), payoff.home.sum(1) + payoff.away.sum(1) + payoff.voids
-    found = np.zeros(len(payoff.names), np.int64)
-    for own, other in ((payoff.first, payoff.second), (payoff.second, payoff.first)):
-        found[other[own == i]] = total[own == i]
-    return found

@@ -88,8 +88,10 @@ class Role:
 
     def reset_after(self, seed: int, player: str, iteration: int) -> bool:
         """Return True if the player is reset after the snapshot of that iteration; repeated calls agree."""
+        if not self.can_reset:
+            return False
         rng = np.random.default_rng([seed, iteration, crc32(f"{player}/reset".encode())])
-        return self.can_reset and rng.random() < (1.0 if self.reset_chance is None else self.reset_chance)
+        return rng.random() < (1.0 if self.reset_chance is None else self.reset_chance)
 
     def last_reset(self, seed: int, player: str, history: Sequence[Snapshot]) -> Snapshot | None:
         """Return the snapshot after which the player was last reset, or None; `history` are its own, oldest first."""

@@ -261,7 +261,7 @@ class MatchTotals(NamedTuple):
     arena: ArenaKey
     a: Sequence[str]
     b: Sequence[str | None]
-    counts: Sequence[Sequence[int]]  # (rows, 14), in the order of COUNT_COLUMNS
+    counts: Sequence[int] | Sequence[Sequence[int]]  # (rows, 14) or these in one line, in the order of COUNT_COLUMNS
     created: Sequence[float]  # time of the newest match in the row
     newest: int  # id of the newest match of all
     lineups: Mapping[tuple[str, ...], LineupTotals] = MappingProxyType({})

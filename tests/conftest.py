@@ -69,6 +69,16 @@ def _optimised(request: pytest.FixtureRequest) -> Iterator[None]:
     jax.clear_caches()
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse tests that are marked elsewhere than in their file: `make test-slow` finds files by these words."""
+    for mark in ("slow", "optimised"):
+        files = {item.path for item in items if item.get_closest_marker(mark)}
+        for file in files:
+            if f"mark.{mark}" not in file.read_text("utf-8"):
+                raise pytest.UsageError(f"{file} has tests marked {mark}, and no mark.{mark}")
+
+
 def pytest_collection_finish() -> None:
     """Leave what has been imported out of garbage collections: each would look through it for half a second."""
     gc.collect()

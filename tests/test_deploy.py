@@ -49,6 +49,12 @@ def test_systemd_starts_again_what_may_pass_for_as_long_as_that_takes_and_leaves
     assert settings["StartLimitIntervalSec"] == "0"
 
 
+def test_both_units_write_shared_blobs_as_the_same_user():
+    for unit in ("league.service", "league-worker.service"):
+        settings = (DEPLOY / unit).read_text().splitlines()
+        assert {"User=robot-league", "ReadWritePaths=-/srv/robot-league"} <= set(settings)
+
+
 def test_every_exit_code_is_told_in_the_help_and_in_the_docs(capsys):
     with pytest.raises(SystemExit):
         cli.main(["help"])
@@ -85,6 +91,12 @@ def test_kubernetes_takes_its_manifests():
     bad["spec"]["replicaz"] = bad["spec"].pop("replicas")
     with pytest.raises(kubernetes_validate.ValidationError, match="replicaz"):
         kubernetes_validate.validate(bad, kubernetes_validate.latest_version(), strict=True)
+
+
+def test_no_new_pod_needs_a_gpu_before_an_old_one_has_ended():
+    for manifest in (each for each in manifests() if each["kind"] == "Deployment"):
+        strategy = manifest["spec"]["strategy"]
+        assert strategy.get("type") == "Recreate" or strategy["rollingUpdate"]["maxSurge"] == 0
 
 
 def test_the_commands_that_they_start_are_ours_and_take_their_flags():

@@ -1,4 +1,4 @@
-"""The interface of a learner to a league: a class with five methods. `HappoLearner` and `SacLearner` are such classes.
+"""The interface of a learner to a league: a class with five methods. `HappoLearner` is such a class.
 
 A league makes one learner for each player, and calls it in this order: `act` before each rollout, `learn` after it, and
 `save` and `export` where a turn ends. `load` continues from what `save` gave, in the same process or another one.

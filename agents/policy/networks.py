@@ -266,25 +266,14 @@ class SquashedGaussian:
         u = 0.5 * self.limit * (outer - inner)  # c·atanh(a / c)
         return self.gaussian.log_prob(u) - outer - inner
 
-    def rsample(self, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions made of standard normal noise (..., action_size), and their log densities, of the same shape.
-
-        Gradients flow to mean and deviation through both (reparametrisation). The densities are computed from u, which
-        has digits where the action has none.
-        """
-        u = self.gaussian.mean + self.gaussian.stddev * noise
-        x = u / self.limit
-        return self.limit * tanh(x), self.gaussian.log_prob(u) - _log_slope(x)
-
     def entropy(self) -> Tensor:
-        """Return the entropy (..., action_size): that of u, plus the mean of log da/du, by Gauss-Hermite quadrature."""
+        """Return the entropy (..., action_size): that of u, plus the mean of log da/du, by Gauss-Hermite quadrature.
+
+        log(1 − tanh² x) = 2 (log 2 − x − softplus(−2x)), which loses no digits far from 0.
+        """
         x = (self.gaussian.mean[..., None] + self.gaussian.stddev[..., None] * self._nodes) / self.limit
-        return self.gaussian.entropy() + (_log_slope(x) * self._weights).sum(-1)
-
-
-def _log_slope(x: Tensor) -> Tensor:
-    """Return log(1 − tanh² x) = 2 (log 2 − x − softplus(−2x)), which loses no digits far from 0."""
-    return 2 * (math.log(2) - x - nn.functional.softplus(-2 * x))
+        slope = 2 * (math.log(2) - x - nn.functional.softplus(-2 * x))
+        return self.gaussian.entropy() + (slope * self._weights).sum(-1)
 
 
 class Critic(Network):

@@ -22,6 +22,7 @@ from dashboards.system.outputs import PICTURES, RERUN, new_output, write_durably
 from dashboards.system.ports import listen, next_port
 from dashboards.viewer.headless import (
     LOCAL,
+    NO_WINDOW,
     free_port,
     headless_viewer,
     open_window,
@@ -33,7 +34,7 @@ from dashboards.viewer.panels import blueprint, draw_panels
 from dashboards.viewer.scene import draw_scene
 from storage.recordings.recording import Recording
 
-NO_WINDOW = "--web for a browser on this machine, --save match.rrd for a file or --shot match.png for a picture"
+OTHERWISE = "--web for a browser on this machine, --save match.rrd for a file or --shot match.png for a picture"
 Players = Sequence[MatchPlayer] | None
 """The players by side; None if only their names are known."""
 
@@ -49,7 +50,7 @@ def write_rrd(recording: Recording, path: str | Path, players: Players = None) -
         write_durably(partial, _encoded(rr, recording, scene))
 
 
-def require_display(otherwise: str = NO_WINDOW) -> None:
+def require_display(otherwise: str = OTHERWISE) -> None:
     """Raise ViewerError where no window can open, with an alternative."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError(f"there is no display here; use {otherwise}")
@@ -66,10 +67,10 @@ def show(recording: Recording, players: Players = None, port: int = 9876) -> Non
     require_display()
     scene = replay(recording, players)
     stream = _stream(rr, recording)
-    open_window(port, f"rerun's window did not open here; use {NO_WINDOW}")
+    open_window(port, OTHERWISE)
     stream.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy", default_blueprint=blueprint(rr, recording, scene))
     _draw(rr, stream, recording, scene)
-    _deliver(stream, f"rerun's window did not open here; use {NO_WINDOW}")
+    _deliver(stream, f"{NO_WINDOW}; use {OTHERWISE}")
 
 
 def screenshot(

@@ -19,8 +19,10 @@ from typing import IO, Any, TypeVar
 from dashboards.errors import ViewerError
 
 NO_DRIVER = "a picture needs a graphics driver (Vulkan); on Debian or Ubuntu: apt-get install mesa-vulkan-drivers"
+NO_WINDOW = "rerun's window did not open here; it needs a display and a graphics driver"
 STABLE_PICTURES = 3  # equal pictures in a row; two are too few for a viewer that gets a tenth of a processor
 PATIENCE = 180.0  # s, limit for a picture, which takes two to three on an idle machine
+HIDDEN = 20.0  # s after which a window that runs and draws nothing is taken for a hidden one
 TITLE_BAR = 36  # pixels, empty even where the viewer's top panel is hidden
 LOCAL = "127.0.0.1"
 """Every listener's address, unreachable from other machines. Rerun's own default is 0.0.0.0, all addresses."""
@@ -157,17 +159,40 @@ def start_window(*options: str) -> subprocess.Popen[bytes]:
 
 
 def open_window(port: int, otherwise: str) -> None:
-    """Ensure that a viewer listens on a port: a running one, or a new window. Raises ViewerError where none opens."""
+    """Ensure that a viewer listens on a port: a running one, or a new window. Raises ViewerError where none opens, with
+    what to use otherwise.
+    """
     process, began = None, time.monotonic()
     while True:
         with suppress(OSError), socket.create_connection((LOCAL, port), timeout=1):
-            return
+            break
         if process is None:
             process = start_window("--port", str(port), "--hide-welcome-screen", "--expect-data-soon")
         elif process.poll() is not None or time.monotonic() - began > PATIENCE:
             process.kill()
-            raise ViewerError(otherwise)
+            raise ViewerError(f"{NO_WINDOW}; use {otherwise}")
         time.sleep(0.1)
+    if process is not None and not _draws(process, port):
+        raise ViewerError(f"{NO_WINDOW}; use {otherwise}")
+
+
+def _draws(process: subprocess.Popen[bytes], port: int) -> bool:
+    """Return False where a new window ends before its first picture: without a graphics driver it listens before."""
+    from rerun.experimental import ViewerClient
+
+    drawn = threading.Event()
+
+    def wait_for_a_picture() -> None:
+        with suppress(OSError, RuntimeError, ValueError):  # rerun's errors where the window ends
+            ViewerClient.connect(f"rerun+http://{LOCAL}:{port}/proxy").take_screenshot()
+            drawn.set()
+
+    threading.Thread(target=wait_for_a_picture, daemon=True).start()
+    began = time.monotonic()
+    while not drawn.wait(0.1) and time.monotonic() - began < HIDDEN:
+        if process.poll() is not None:
+            return False
+    return True
 
 
 def executable() -> str:

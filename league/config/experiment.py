@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import arenas
-from agents.settings import HAPPO, READ_BY_SAC, SAC, HappoConfig
+from agents.settings import HAPPO, REMOVED, HappoConfig
 from arenas.arena_settings import EngineName
 from arenas.contract.error_location import describe_error, source_files
 from arenas.errors import ArenaError
@@ -20,7 +20,7 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.schema import ConfigError, Key, dotted
+from league.config.schema import ConfigError, Key, dotted, refuse
 from league.config.sections import (
     Budget,
     Buffers,
@@ -168,16 +168,6 @@ class Config:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")
         if self.budget.training_time is not None:
             raise ValueError('budget.training_time: time runs differently every time; deterministic wants "none" here')
-        if SAC in self.learner_classes and not self.learner.sac.replay.saved:
-            raise ValueError(
-                f"deterministic: {SAC} resumes to the same bytes only with its replay buffer in checkpoints; give"
-                " learner.sac.replay.saved = true"
-            )
-
-    @property
-    def learner_classes(self) -> set[str]:
-        """The classes of learners by which players learn."""
-        return {player.class_ or self.learner.class_ for player in self.players} or {self.learner.class_}
 
     def _check_players(self) -> None:
         """Check that names are unique, and that a group has at most one player per team; raises ValueError."""
@@ -269,18 +259,27 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
 
 def _check_learner_flags(config: Config, given: flags.Given) -> None:
     """Raise ConfigError for a flag of HAPPO where no player learns by it. A file may have such keys: presets do."""
-    classes = config.learner_classes
+    if any(key[0] == "learner" for key in given):
+        check_classes(config)
+    classes = {player.class_ or config.learner.class_ for player in config.players} or {config.learner.class_}
     if HAPPO in classes:
         return
-    read = {"class", "settings", "skill", "critic_input", *(READ_BY_SAC if SAC in classes else ())}
-    section = "sac" if SAC in classes else "settings"
     for key in given:
-        if key[0] == "learner" and key[1] not in read:
+        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
             raise ConfigError(
                 key,
                 f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"
-                f" give its own as --learner.{section}.{key[-1]}",
+                f" give its own as --learner.settings.{key[-1]}",
             )
+
+
+def check_classes(config: Config) -> None:
+    """Raise ConfigError if a player would learn by a learner that was removed."""
+    named = {("learner", "class"): config.learner.class_}
+    named |= {("players", str(i), "class"): player.class_ or "" for i, player in enumerate(config.players)}
+    for key, name in named.items():
+        if name in REMOVED:
+            raise refuse(key, name, REMOVED[name])
 
 
 def loads(
@@ -374,10 +373,10 @@ def load(path: Path) -> Config:
     return loads(read(path), str(path))
 
 
-def dumps(config: Config) -> str:
-    """Write the configuration as commented TOML that `loads` reads back unchanged."""
+def dumps(config: Config, comments: bool = True) -> str:
+    """Write the configuration as TOML, commented or not, that `loads` reads back unchanged."""
     try:
         base = default(config.arena.name)
     except ConfigError:
         base = None  # an arena that was never registered has no defaults
-    return toml.dumps(config, base) + parts.written(config.stages)
+    return toml.dumps(config, base, comments) + parts.written(config.stages)

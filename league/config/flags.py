@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from arenas.arena_settings import Table
 from league.config.build import TRUTHS, from_text
 from league.config.former_names import Former
-from league.config.schema import ConfigError, Key, dotted, hints, inner_table, key_of, required, settings
+from league.config.schema import ConfigError, Key, dotted, hints, inner_table, key_of, removed, required, settings
 
 Given = Mapping[Key, str]
 """The text of flags by their keys."""
@@ -76,7 +76,10 @@ def _flag(word: str, words: list[str], is_switch: Callable[[Key], bool | None]) 
 
 
 def find(key: Key, cls: type, base: Any = None) -> Any:
-    """Return the type of the setting with that key, None if there is none; `base` as for `build`."""
+    """Return the type of the setting with that key, None if there is none; `base` as for `build`.
+
+    Raises ConfigError for a setting that was removed.
+    """
     return _found(key, cls, base)[1]
 
 
@@ -86,6 +89,8 @@ def _found(key: Key, cls: type, base: Any) -> tuple[Key, Any]:
     for depth, name in enumerate(key):
         field = next((each for each in settings(cls) if name in (option(each), each.metadata.get("formerly"))), None)
         if field is None:
+            if why := removed(cls, name):
+                raise ConfigError(key, f"{_spelled(dotted(key))}: {why}")
             return key, None
         now = (*now, option(field))
         inner, default = inner_table(cls, field, base)

@@ -9,7 +9,18 @@ from collections.abc import Mapping
 from dataclasses import Field
 from typing import Any
 
-from league.config.schema import ConfigError, Key, dotted, hints, inner_table, key_of, literal, settings, table_of
+from league.config.schema import (
+    ConfigError,
+    Key,
+    dotted,
+    hints,
+    inner_table,
+    key_of,
+    literal,
+    removed,
+    settings,
+    table_of,
+)
 
 Former = dict[Key, Key]
 """The keys that were given by a former name: present key -> key as it was given. The key of a value in a list ends with
@@ -24,8 +35,8 @@ def field_named(cls: Any, name: str) -> Field | None:
 def present_names(table: Mapping[str, Any], cls: type, base: Any = None, at: Key = ()) -> tuple[dict[str, Any], Former]:
     """Return a plain table with the present names of all settings, and the keys that were given by former names.
 
-    `base` is as for `build`, and `at` is the table's own key; unknown keys stay as they are. Raises ConfigError if a
-    setting is given by both names.
+    `base` is as for `build`, and `at` is the table's own key; settings that were removed are left out, and unknown keys
+    stay as they are. Raises ConfigError if a setting is given by both names.
     """
     former: Former = {}
     return _table(table, cls, base, (at, at), former), former
@@ -35,6 +46,8 @@ def _table(table: Mapping[str, Any], cls: type, base: Any, keys: tuple[Key, Key]
     """Return a table with present names, and add to `former`; `keys` are its own, by present names and as given."""
     found = {}
     for name, value in table.items():
+        if removed(cls, name):
+            continue
         field = field_named(cls, name)
         kind, default = (None, None) if field is None else inner_table(cls, field, base)
         key, given = (*keys[0], name if field is None else key_of(field)), (*keys[1], name)

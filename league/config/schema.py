@@ -9,10 +9,12 @@ note. The field's metadata has the conditions on its value:
 `low` and `high` are inclusive bounds, `above` and `below` exclusive ones (of a tuple: of every element); `valid` is a
 function that raises ValueError for values that it refuses; `most` bounds the number of values in a list; `formerly` is
 the name that the setting had before, and `values_formerly` those of names in a list (`league/config/former_names.py`);
-`key` is its name where Python reserves that word. Conditions on several fields are checked in `__post_init__`, which
-raises ValueError("field: message") or ValueError("table.field: message"), or any other message about the whole table;
-bounds are checked before it. Numbers are finite. Without an upper bound of their own, floats are at most LARGEST and
-integers fit into 64 bits. Texts and lists are no longer than LONGEST and MOST.
+`key` is its name where Python reserves that word. A class may have a dict `REMOVED`, from names of settings that it had
+to lines that say why they are gone: files and stored settings may have these, without effect. Conditions on several
+fields are checked in `__post_init__`, which raises ValueError("field: message") or ValueError("table.field: message"),
+or any other message about the whole table; bounds are checked before it. Numbers are finite. Without an upper bound of
+their own, floats are at most LARGEST and integers fit into 64 bits. Texts and lists are no longer than LONGEST and
+MOST.
 """
 
 import ast
@@ -93,6 +95,11 @@ def settings(cls: Any) -> Iterator[Field]:
 def key_of(field: Field) -> str:
     """Return the name of a setting in files and flags: that of its field, unless Python reserves it."""
     return field.metadata.get("key", field.name)
+
+
+def removed(cls: Any, name: str) -> str | None:
+    """Return why a class has a setting of that name no more; None if it has it, or never had it."""
+    return getattr(cls, "REMOVED", {}).get(name)
 
 
 def is_table(value: Any) -> bool:

@@ -95,12 +95,15 @@ def _paragraphs(config: Any, base: Any, key: Key, header: str = "") -> Iterator[
         yield from table
 
 
-def dumps(config: Any, base: Any = None) -> str:
-    """Write a tree of dataclasses as TOML with a comment for every setting.
+def dumps(config: Any, base: Any = None, comments: bool = True) -> str:
+    """Write a tree of dataclasses as TOML, with a comment for every setting or without any.
 
     `loads` returns an equal tree if it gets the same `base`.
     """
-    return "\n".join(_paragraphs(config, base, ()))
+    text = "\n".join(_paragraphs(config, base, ()))
+    if comments:
+        return text
+    return "".join(f"{line}\n" for line in text.split("\n") if line and not line.startswith("#"))
 
 
 def parse(text: str, source: str = "league.toml") -> dict[str, Any]:

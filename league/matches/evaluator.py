@@ -89,7 +89,8 @@ class MatchEvaluator:
         return matches
 
     def _round(self, store: Store, task: RatingMatch) -> list[Match | RankedMatch]:
-        snapshots = {s.name: s for s in store.snapshots(self.league, brief=True)}
+        named = {name for lineup in task.lineups for name in lineup if name is not None}
+        snapshots = {s.name: s for s in store.snapshots(self.league, brief=True, named=named)}
         room = [task.lineups[i % len(task.lineups)] for i in range(self.pairings)]
         met = [[_known(snapshots, name) for name in lineup if name is not None] for lineup in room]
         seats = [seating for lineup in met for seating in self.side_orders(*lineup)]

@@ -115,13 +115,13 @@ class Open:
 
         Raises UnknownName; StorageError if the snapshot has been thinned.
         """
-        known = {s.name: s for s in self.store.snapshots(self.league)}
+        known = {s.name: s for s in self.store.snapshots(self.league, brief=True)}
         of_player = [s for s in known.values() if s.player == name]
         found = known.get(name) or max(of_player, key=lambda s: s.iteration, default=None)
         if found is None:
             raise UnknownName("snapshot", name, known)
         require_whole(found, known.values())
-        return found
+        return self.store.snapshots(self.league, named=[found.name])[0]
 
     def snapshots(self) -> "pd.DataFrame":
         """Return a row per snapshot: those of no player first, then by iteration."""

@@ -6,9 +6,9 @@ Heavy imports are local, because fast commands also import this module.
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from agents.settings import HAPPO, SAC
+from agents.settings import HAPPO
 from arenas.contract.error_location import describe_error, source_files
-from league.config.experiment import Config
+from league.config.experiment import Config, check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.state.team_exchange import as_made
@@ -28,6 +28,7 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
 
     `players` are those that the league has already. Raises ConfigError, one line that names the setting.
     """
+    check_classes(config)
     arena = as_made(_built(config), players)
     teams = [team.name for team in arena.teams]
     if config.training.schedule.learner >= len(teams):
@@ -258,11 +259,9 @@ def _validate_learner(config: Config, arena: "Arena", number: int, player: Playe
     if config.role(player.role).reset == "main":
         message = f"{player.name}'s role resets it to another player's policy, which only {HAPPO} takes over"
         raise refuse(key, player.class_ or config.learner.class_, message)
-    is_sac = (player.class_ or config.learner.class_) == SAC
-    for name in ("lr",) if is_sac else ("hidden", "lr"):
+    for name in ("hidden", "lr"):
         if getattr(player, name) is not None:
-            own = "it reads learner.sac.lr" if is_sac else f"give {player.name}'s learner its own in settings"
-            message = f"is a setting of {HAPPO}; {own}"
+            message = f"is a setting of {HAPPO}; give {player.name}'s learner its own in settings"
             raise refuse(("players", str(number), name), getattr(player, name), message)
     teams = [team.name for team in arena.teams]
     row = Player(config.league, player.name, teams.index(player.team), player.role, "", player.group)
@@ -270,7 +269,7 @@ def _validate_learner(config: Config, arena: "Arena", number: int, player: Playe
         made = new_learner(config, arena, row)
         assert isinstance(made, OwnLearner)
         made.try_out()
-    except (PlayerDiverged, ValueError) as error:
+    except PlayerDiverged as error:
         raise ConfigError(key, f"{dotted(key)}: {error}") from None
 
 

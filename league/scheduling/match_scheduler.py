@@ -26,7 +26,7 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.scheduling import training_progress
-from league.scheduling.progress_metrics import can_meet, required_opponents
+from league.scheduling.progress_metrics import meeting_rosters, required_opponents
 from league.scheduling.training_progress import TrainingProgress
 from league.scheduling.turn_scheduler import Plan
 from league.state.jobs import RatingMatch, decode, encode, failed_alone
@@ -213,8 +213,10 @@ def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[L
         return _trials(config, state, over)[:room]
     frozen = {s.name: s for s in state.snapshots if s.thinned is None}
 
+    sides = meeting_rosters(state.players)
+
     def may_meet(a: str, b: str) -> bool:
-        return can_meet(frozen[a], frozen[b], state.players)
+        return (frozen[a].roster, frozen[b].roster) in sides
 
     target_episodes = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
     required = required_opponents(config, state, over)
@@ -330,8 +332,7 @@ def _episodes(state: LeagueState, lineup: Lineup) -> int:
         return state.ladder.trial_episodes(names[0])
     payoff = state.ladder.payoff
     first, second = np.array([[payoff.index(name) for name in pair] for pair in combinations(names, 2)]).T
-    met = payoff.between(first, second)
-    return int(met[:, :3].sum() + met[:, 8].sum())
+    return int(payoff.episodes_between(first, second).sum())
 
 
 def _about(state: LeagueState, lineups: Sequence[Lineup]) -> list[list]:

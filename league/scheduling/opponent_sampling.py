@@ -153,9 +153,7 @@ def records(opponents: Opponents, state: LeagueState, learner: Player, since: in
     A snapshot that the learner has not met inherits the win rate of its parent; a player whose present policy it has
     not met inherits that of the player's newest snapshot.
     """
-    parents = {s.name: s.parent for s in state.snapshots}
-    parents |= {s.player: s.name for s in state.snapshots if s.player}
-    known = WinRecords(opponents.decay, opponents.shrinkage, parents)
+    known = WinRecords(opponents.decay, opponents.shrinkage, state.parents)
     for game in _games(state, learner, since):
         known.note(game.opponent, game.wins, game.draws, game.losses)
     return known
@@ -209,16 +207,16 @@ def _games(state: LeagueState, learner: Player, since: int = -1) -> list[Meeting
     After a reset, return only the games after that iteration, `since`.
     """
     if since >= 0:
-        return [m for m in state.meetings if m.player == learner.name and m.iteration > since]
+        return [m for m in state.games(learner.name) if m.iteration > since]
     team = {p.name for p in state.players if p.team == learner.team}
-    frozen = {s.name: s for s in state.snapshots}
+    frozen = state.by_name
     name, before, found = learner.name, None, []
     for _ in range(len(frozen) + 1):  # copies form no cycle; the bound ends the loop even if they did
         history = [s for s in state.history(name) if before is None or s.iteration <= before]
         parents = [frozen.get(s.parent or "") for s in history]
         copied = [i for i, p in enumerate(parents) if p is not None and p.player in team - {name}]
         last = history[copied[-1]].iteration if copied else -1
-        own = [m for m in state.meetings if m.player == name and m.iteration > last]
+        own = [m for m in state.games(name) if m.iteration > last]
         found = [m for m in own if before is None or m.iteration <= before] + found
         if not copied or (parent := parents[copied[-1]]) is None or parent.player is None:
             break
@@ -239,8 +237,8 @@ def met_in(role: Role, opponents: Opponents, state: LeagueState, team: int) -> l
 
 def _ever_met_in(role: Role, state: LeagueState, team: int) -> list[Snapshot]:
     """Return the snapshots of the team's players that the role meets, oldest first, thinned snapshots included."""
-    own = {p.name for p in state.players if p.team == team and (role.meets is None or p.role in role.meets)}
-    return sorted((s for s in state.snapshots if s.player in own), key=lambda s: (s.iteration, s.name))
+    own = [p.name for p in state.players if p.team == team and (role.meets is None or p.role in role.meets)]
+    return sorted((s for name in own for s in state.history(name)), key=lambda s: (s.iteration, s.name))
 
 
 def _players(state: LeagueState, team: int) -> set[str]:
@@ -257,7 +255,7 @@ def _predicted(state: LeagueState, learner: Player, pool: Sequence[Snapshot]) ->
 
     An unrated snapshot takes the rating of its nearest rated ancestor.
     """
-    ladder, frozen = state.ladder, {s.name: s for s in state.snapshots}
+    ladder, frozen = state.ladder, state.by_name
     played = ladder.payoff.played > 0
 
     def place(snapshot: Snapshot | None) -> int | None:

@@ -50,9 +50,8 @@ def surely_scores(config: "Config", state: LeagueState, player: str, other: str)
 
 def since(state: LeagueState, player: str) -> Snapshot:
     """Return the snapshot of a player's last copy: the last with another player's snapshot as parent, or the first."""
-    owner = {s.name: s.player for s in state.snapshots}
-    history = state.history(player)
-    copied = [s for s in history if owner.get(s.parent or "", player) != player]
+    frozen, history = state.by_name, state.history(player)
+    copied = [s for s in history if (parent := frozen.get(s.parent or "")) is not None and parent.player != player]
     return copied[-1] if copied else history[0]
 
 
@@ -109,8 +108,8 @@ def _of_late(state: LeagueState, player: str) -> Score:
     Turns are added, newest first, until there are 500 games or more, as far as they exist.
     """
     begun, turns = since(state, player).iteration, defaultdict[int, list[Meeting]](list)
-    for game in state.meetings:
-        if game.player == player and game.iteration > begun:
+    for game in state.games(player):
+        if game.iteration > begun:
             turns[game.iteration].append(game)
     played = {at: sum(m.wins + m.draws + m.losses for m in met) for at, met in turns.items()}
     won = {at: sum(m.wins + m.draws / 2 for m in met) for at, met in turns.items()}

@@ -1,7 +1,6 @@
 """Opponents that measure progress. The plan, the tables and the progress line share these definitions."""
 
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from matchmaking.match_design import HISTORY_OFFSETS, RequiredOpponents, others_after
@@ -14,14 +13,14 @@ if TYPE_CHECKING:  # for their types only: a query does not import the configura
     from league.state.league_state import LeagueState
 
 
-def can_meet(a: Snapshot, b: Snapshot, players: Sequence[Player]) -> bool:
+def can_meet(a: Snapshot, b: Snapshot, players: Iterable[Player]) -> bool:
     """Return whether two snapshots can play on two sides of the arena, by the rosters of the players' teams."""
-    return (a.roster, b.roster) in _sides(tuple((p.team, p.roster) for p in players))
+    return (a.roster, b.roster) in meeting_rosters(players)
 
 
-@cache
-def _sides(teams: tuple[tuple[int, str], ...]) -> set[tuple[str, str]]:
-    """Return the pairs of rosters that can play on two sides. Cached, because a plan tests every pair of snapshots."""
+def meeting_rosters(players: Iterable[Player]) -> set[tuple[str, str]]:
+    """Return the pairs of rosters that can play on two sides of the arena."""
+    teams = {(p.team, p.roster) for p in players}
     return {(one, other) for team, one in teams for against, other in teams if team != against}
 
 
@@ -64,7 +63,7 @@ def reference_opponents(config: "Config", state: "LeagueState", snapshot: Snapsh
 
     Only opponents that it can meet; none in an arena of one team.
     """
-    first = initial_opponents(snapshot, state.snapshots, state.players)
+    first = initial_opponents(snapshot, state.initials, state.players)
     own = milestones(config, state, str(snapshot.player)).values()
     others = (*first, *own, *_anchors(config, state))
     found = {s.name: s for s in others if can_meet(snapshot, s, state.players)}
@@ -78,13 +77,14 @@ def _anchors(config: "Config", state: "LeagueState") -> list[Snapshot]:
     return [*scripts, *(s for s in state.snapshots if s.origin == "imported")]
 
 
-def parent(snapshot: Snapshot, history: Sequence[Snapshot], snapshots: Sequence[Snapshot]) -> list[Snapshot]:
+def parent(snapshot: Snapshot, history: Sequence[Snapshot], by_name: Mapping[str, Snapshot]) -> list[Snapshot]:
     """Return the parent of a player's newest snapshot, else the last snapshot before it; empty for the first.
 
     Only snapshots that still have their policy: `history` is the list of these for the player, oldest first.
     """
     before = [s for s in history if s.name != snapshot.name][-1:]
-    return [s for s in snapshots if s.name == snapshot.parent and s.thinned is None] or before
+    known = by_name.get(snapshot.parent or "")
+    return [known] if known is not None and known.thinned is None else before
 
 
 def required_opponents(config: "Config", state: "LeagueState", over: bool) -> dict[str, RequiredOpponents]:
@@ -96,15 +96,16 @@ def required_opponents(config: "Config", state: "LeagueState", over: bool) -> di
     """
     newest = [s for s in state.newest_snapshots if s.thinned is None]
     of, names, found = {s.name: s for s in newest}, [s.name for s in newest], {}
+    sides, never_learn = meeting_rosters(state.players), _anchors(config, state)
     for s in newest:
         history = [each for each in state.history(str(s.player)) if each.thinned is None]
         past = [history[-1 - back] for back in HISTORY_OFFSETS if len(history) > back]
-        first = initial_opponents(s, state.snapshots, state.players)
-        measures = [*first, *past[:1], *parent(s, history, state.snapshots), *past[1:]]
-        anchors = reference_opponents(config, state, s) if over else _anchors(config, state)
+        first = initial_opponents(s, state.initials, state.players)
+        measures = [*first, *past[:1], *parent(s, history, state.by_name), *past[1:]]
+        anchors = reference_opponents(config, state, s) if over else never_learn
         rivals = [of[name] for name in others_after(names, s.name)]
         found[s.name] = RequiredOpponents(*(
-            [o.name for o in others if o.thinned is None and o.name != s.name and can_meet(s, o, state.players)]
+            [o.name for o in others if o.thinned is None and o.name != s.name and (s.roster, o.roster) in sides]
             for others in (rivals, measures, anchors)
         ))  # fmt: skip
     return found

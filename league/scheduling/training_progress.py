@@ -14,6 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from league.config.experiment import Config
 from league.config.sections import Budget, Rating
 from league.scheduling.progress_metrics import initial_opponents
@@ -150,7 +152,7 @@ class Rated(NamedTuple):
         share = f"{100 * self.score.score:.0f} % ({100 * self.score.low:.0f}-{100 * self.score.high:.0f} %)"
         if state.one_team:
             return f"succeeds in {share}"
-        others = initial_opponents(self.snapshot, state.snapshots, state.players)
+        others = initial_opponents(self.snapshot, state.initials, state.players)
         others_text = (
             "its initial snapshot" if all(o.player == self.snapshot.player for o in others) else "initial opponents"
         )
@@ -161,16 +163,16 @@ def rated(state: LeagueState, player: str, quota: int) -> list[Rated]:
     """Return a player's snapshots that have played their quota, with their scores, oldest first."""
     ladder, found = state.ladder, []
     for snapshot in state.history(player):
-        if snapshot.name not in ladder.names:
+        if snapshot.name not in ladder.payoff.positions:
             continue
         if state.one_team:
             episodes, score = ladder.trial_episodes(snapshot.name), ladder.success(snapshot.name)
         else:
-            others = [o.name for o in initial_opponents(snapshot, state.snapshots, state.players)]
+            others = [o.name for o in initial_opponents(snapshot, state.initials, state.players)]
             payoff = ladder.payoff
-            at = [payoff.index(name) for name in others if name in ladder.names]
-            episodes = int(payoff.episodes[payoff.index(snapshot.name), at].sum()) if at else 0
-            score = ladder.score(snapshot.name, *others) if at else None
+            at = np.array([payoff.index(name) for name in others if name in payoff.positions], int)
+            episodes = int(payoff.episodes_between(np.array(payoff.index(snapshot.name)), at).sum())
+            score = ladder.score(snapshot.name, *others) if len(at) else None
         if score is not None and episodes >= quota and score.games:
             found.append(Rated(snapshot, score))
     return found

@@ -72,9 +72,10 @@ def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[t
         if rule is None or not rule.await_matches:
             continue
         for team in {p.team for p in state.players} - {learner.player.team}:
-            for a, b in table_pairs(rule, state, learner.player, team, learner.role):
-                if payoff.episodes[payoff.index(a), payoff.index(b)] < quota:
-                    missing.setdefault(frozenset((a, b)), (a, b))
+            pairs = table_pairs(rule, state, learner.player, team, learner.role)
+            first, second = np.array([[payoff.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2).T
+            for at in np.flatnonzero(payoff.episodes_between(first, second) < quota).tolist():
+                missing.setdefault(frozenset(pairs[at]), pairs[at])
     never = [set(lineup) for lineup in failed_alone(state.jobs)] if missing else []
     return [pair for pair in missing.values() if not any({*pair} <= lineup for lineup in never)]
 

@@ -6,17 +6,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
+from league.state import recent_curves
+from league.state.recent_curves import RecentCurve
 from league.state.void_rates import Voids
 from league.state.void_rates import found as voids_found
 from matchmaking.ratings.ladder import Ladder, Pool
 from matchmaking.ratings.scores import Score
-from matchmaking.schedule import Schedule, phase_score
+from matchmaking.schedule import Schedule
 from storage.records import (
     RATED_PURPOSES,
     TIMELINE,
     ArenaKey,
     Checkpoint,
-    CurvePoint,
     Job,
     Match,
     Meeting,
@@ -47,8 +48,7 @@ class Group(NamedTuple):
 
 
 NO_MATCHES = Ladder(())
-ENOUGH = 128
-"""Training episodes from which a share of successes is computed."""
+NEW = 500  # snapshots that are read by name
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,7 @@ class LeagueState:
     played: float = 0.0  # database time at which the last rating match of the league itself was written
     meetings: Sequence[Meeting] = ()  # results of all training games, in the order of their turns
     batches: Batches | None = None  # None before the first batch
-    rewards: Mapping[str, float] = field(default_factory=dict)  # player -> reward per episode, if `recent` > 0
-    successes: Mapping[str, float] = field(default_factory=dict)  # player -> share of recent training episodes
-    scores: Mapping[str, Score] = field(
-        default_factory=dict
-    )  # of learners whose phase ends by a score: see phase_scores
+    curves: Mapping[str, RecentCurve] = field(default_factory=dict)  # by player
     revision: int = -1  # of the store at the time of reading
     voids: Sequence[Voids] = ()  # shares of void episodes that deserve a warning
 
@@ -97,32 +93,29 @@ class LeagueState:
         if before is None or revision < before.revision or revision // TIMELINE != before.revision // TIMELINE:
             before = cls()  # a failover may have lost what was read
         jobs, players = store.jobs(league, ("queued", "leased", "failed")), store.players(league)
-        known = store.snapshot_count(league) == (
-            len(before.snapshots),
-            sum(s.thinned is not None for s in before.snapshots),
-        )
-        snapshots = before.snapshots if known else store.snapshots(league, brief=True)
+        snapshots = _snapshots(store, league, before.snapshots)
         log = _Log.of(store, league, before, arena, Pool.of(snapshots, players))
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
+        curves = recent_curves.read(store, league, checkpoints, phases, recent, before.curves)
         met = before.meetings[-1].id if before.meetings else 0
         return cls(
             players, snapshots, checkpoints, phases, jobs, *log[:4],
             [*before.meetings, *store.meetings(league, met)],
-            log.batches, *_averages(store, checkpoints, recent), phase_scores(store, phases), revision,
-            voids_found(store, league, checkpoints),
+            log.batches, curves, revision, voids_found(store, league, [each.voids for each in curves.values()]),
         )  # fmt: skip
 
     @classmethod
     def without_games(cls, store: Store, league: str) -> "LeagueState":
         """Read all except snapshots, training games and rating matches, which are many in an old league."""
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
+        curves = recent_curves.read(store, league, checkpoints, phases)
         return cls(
             store.players(league),
             checkpoints=checkpoints,
             phases=phases,
             jobs=store.jobs(league, ("queued", "leased", "failed")),
-            scores=phase_scores(store, phases),
-            voids=voids_found(store, league, checkpoints),
+            curves=curves,
+            voids=voids_found(store, league, [each.voids for each in curves.values()]),
         )
 
     def history(self, player: str) -> Sequence[Snapshot]:
@@ -134,6 +127,48 @@ class LeagueState:
         found = defaultdict[str | None, list[Snapshot]](list)
         for snapshot in self.snapshots:
             found[snapshot.player].append(snapshot)
+        return found
+
+    @property
+    def rewards(self) -> dict[str, float]:
+        """Reward per episode of each player that has one, over the `recent` iterations."""
+        return {name: each.reward for name, each in self.curves.items() if each.reward is not None}
+
+    @property
+    def successes(self) -> dict[str, float]:
+        """Share of successes of each player that has one, over the `recent` iterations."""
+        return {name: each.success for name, each in self.curves.items() if each.success is not None}
+
+    @property
+    def scores(self) -> dict[str, Score]:
+        """Recent score of each learner whose phase ends by a score: of the training episodes of this turn."""
+        return {name: each.score for name, each in self.curves.items() if each.score is not None}
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Snapshot]:
+        """All snapshots by name."""
+        return {snapshot.name: snapshot for snapshot in self.snapshots}
+
+    @cached_property
+    def parents(self) -> Mapping[str, str | None]:
+        """Snapshot -> its parent, and player -> its newest snapshot."""
+        newest = {s.player: s.name for s in self.snapshots if s.player}
+        return {s.name: s.parent for s in self.snapshots} | newest
+
+    @cached_property
+    def initials(self) -> Sequence[Snapshot]:
+        """The initial snapshots of all players."""
+        return [snapshot for snapshot in self.snapshots if snapshot.initial]
+
+    def games(self, player: str) -> Sequence[Meeting]:
+        """Return the training games that a player has learnt from, in order."""
+        return self._games.get(player, ())
+
+    @cached_property
+    def _games(self) -> Mapping[str, Sequence[Meeting]]:
+        found = defaultdict[str, list[Meeting]](list)
+        for game in self.meetings:
+            found[game.player].append(game)
         return found
 
     @cached_property
@@ -179,45 +214,18 @@ class LeagueState:
         return len({player.team for player in self.players}) == 1
 
 
-def phase_scores(store: Store, phases: Mapping[str, Phase]) -> dict[str, Score]:
-    """Return the recent score of each learner whose turn can end by a score, from its learning curve.
-
-    The score counts training episodes of this turn, in all worlds from which the learner learns. They exist after each
-    iteration, are stored with the checkpoint that resulted, and are the same on every machine if training is.
-    """
-    return {
-        learner: phase_score(episode_scores(store.curves(phase.league, learner, after=phase.since.get(learner, 0))))
-        for phase in phases.values()
-        if "score" in phase.until
-        for learner in phase.learners
-    }
-
-
-def episode_scores(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
-    """Return (number of episodes that ended, their mean score) for each iteration in which any ended."""
-    return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
-
-
-def _averages(
-    store: Store, checkpoints: Mapping[str, Checkpoint], recent: int
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return reward per episode and share of successes over the last `recent` iterations of training, by player.
-
-    Only players with that many iterations have one, rewards with an ended episode, successes with ENOUGH of them:
-    first episodes that end at once are successes.
-    """
-    rewards, successes = {}, {}
-    for name, at in checkpoints.items() if recent else ():
-        points = [p.values for p in store.curves(at.league, name, after=at.iteration - recent)]
-        ended = [p for p in points if "length" in p]
-        if len(points) < recent or not ended:
-            continue
-        length = sum(p["length"] for p in ended) / len(ended)
-        rewards[name] = sum(p["reward"] for p in points) / len(points) * length
-        counted = [(p["episodes"], p["score"]) for p in ended if {"episodes", "score"} <= p.keys()]
-        if (episodes := sum(n for n, _ in counted)) >= ENOUGH:
-            successes[name] = sum(n * score for n, score in counted) / episodes
-    return rewards, successes
+def _snapshots(store: Store, league: str, before: Sequence[Snapshot]) -> Sequence[Snapshot]:
+    """Return the snapshots of a league; if none was thinned since `before`, only new ones are read."""
+    count, thinned = store.snapshot_count(league)
+    if thinned != sum(s.thinned is not None for s in before):
+        return store.snapshots(league, brief=True)
+    if count == len(before):
+        return before
+    new = set(store.snapshot_names(league)) - {s.name for s in before}
+    if len(new) > NEW:
+        return store.snapshots(league, brief=True)
+    found = [*before, *store.snapshots(league, brief=True, named=new)]
+    return sorted(found, key=lambda s: (s.player is not None, s.iteration, s.name))
 
 
 def _batches(last: Batches | None, new: Sequence[Match | RankedMatch]) -> Batches | None:

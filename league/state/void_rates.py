@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import NamedTuple
 
-from storage.records import RATED_PURPOSES, Checkpoint, CurvePoint
+from storage.records import RATED_PURPOSES, CurvePoint
 from storage.store import Store
 
 LIMIT = 0.01
@@ -53,28 +53,36 @@ class Voids(NamedTuple):
         return f"{100 * self.share:.1f} % of the newest {self.episodes:,} {self.what} episodes were void: {why}."
 
 
-def found(store: Store, league: str, checkpoints: Mapping[str, Checkpoint]) -> tuple[Voids, ...]:
-    """Return the void episodes of the newest training and of the newest rated matches, if they deserve a warning."""
-    points = [
-        p for at in checkpoints.values() for p in store.curves(league, at.player, after=at.iteration - ITERATIONS)
-    ]
+def found(store: Store, league: str, training: Iterable[Mapping[str, int]]) -> tuple[Voids, ...]:
+    """Return the void episodes of the newest training and of the newest rated matches, if they deserve a warning.
+
+    `training` has the `sums` of each player.
+    """
     rated = store.voids(league, RATED_PURPOSES, after=store.last_match(league) - MATCHES)
-    warned = [each for each in (of_training(points), of_matches(rated)) if each.warns]
+    warned = [each for each in (of_training(training), of_matches(rated)) if each.warns]
     arena = _arena(store.league(league).config) if warned else ""
     return tuple(each._replace(arena=arena) if arena else each for each in warned)
 
 
-def of_training(points: Iterable[CurvePoint]) -> Voids:
-    """Count the void episodes of some training iterations."""
-    sums: Counter[str] = Counter()
+def sums(points: Iterable[CurvePoint]) -> Counter[str]:
+    """Return the sums of the metrics that count episodes and void ones, over some training iterations."""
+    found: Counter[str] = Counter()
     for point in points:
-        sums.update({name: int(n) for name, n in point.values.items() if name.startswith(("episodes", "void"))})
+        found.update({name: int(n) for name, n in point.values.items() if name.startswith(("episodes", "void"))})
+    return found
+
+
+def of_training(parts: Iterable[Mapping[str, int]]) -> Voids:
+    """Count the void episodes of training from the `sums` of each player."""
+    total: Counter[str] = Counter()
+    for part in parts:
+        total.update(part)
     causes: Counter[int] = Counter()
-    if sums["voids"]:
+    if total["voids"]:
         from arenas.physics.void_causes import METRIC_PREFIX, Cause
 
-        causes = Counter({int(cause): sums[f"{METRIC_PREFIX}{cause.key}"] for cause in Cause})
-    return Voids("training", sums["voids"], sums["voids"] + sums["episodes"], _often(causes))
+        causes = Counter({int(cause): total[f"{METRIC_PREFIX}{cause.key}"] for cause in Cause})
+    return Voids("training", total["voids"], total["voids"] + total["episodes"], _often(causes))
 
 
 def of_matches(rows: Iterable[tuple[int, int, int]]) -> Voids:

@@ -8,7 +8,6 @@ import resource
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agents.settings import SAC
 from league.config.experiment import Config
 from storage.errors import StorageError
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 SHARE = 0.8  # of the available memory, for training
 COPIES = 4  # of each number in a batch: as collected, cleaned, in an actor's input, and in the order of a pass
 LAYERS = 3  # copies of the widest layer's numbers in a pass of a whole batch: input, products, output
-BOOKKEEPING = 7  # further numbers of a decision in a replay buffer: its return, whether it counts, against whom it was
 SIGNS = ("resource_exhausted", "out of memory", "can't allocate memory", "failed to allocate")  # JAX, torch, Warp
 SHORT = "out of memory"  # first words of the message about a turn that did not fit
 CGROUP = Path("/sys/fs/cgroup/memory.max")
@@ -66,21 +64,7 @@ def learning(config: Config, arena: "Arena", worlds: int, at_once: int = 1) -> i
         sides = len(arena.teams) if config.learner.critic_input == "same" else 1
         numbers += sides * len(arena.teams) * sum(agent.observation_size for agent in arena.agents)
     wide = at_once * LAYERS * max(config.learner.architecture.hidden)
-    return 4 * worlds * config.training.rollout_length * (COPIES * numbers + wide) + replay(config, arena)
-
-
-def replay(config: Config, arena: "Arena") -> int:
-    """Return the bytes of the replay buffers of all players that have one."""
-    if SAC not in config.learner_classes:
-        return 0
-    seen, sees = sum(agent.observation_size for agent in arena.agents), config.learner.critic_input
-    numbers = 0
-    for team in arena.teams:
-        own = sum(agent.observation_size for agent in team.agents)
-        more = {"privileged": arena.privileged_size, "all": seen - own}.get(sees, 0)
-        numbers += 2 * (own + more) + sum(agent.action_size + 2 for agent in team.agents) + BOOKKEEPING
-    lineups = max(1.0, len(config.players) / len(arena.teams))  # as many players of each team
-    return int(4 * numbers * lineups * config.learner.sac.replay.capacity)
+    return 4 * worlds * config.training.rollout_length * (COPIES * numbers + wide)
 
 
 def is_short(error: BaseException) -> bool:

@@ -12,7 +12,7 @@ from agents.devices.distributed import SINGLE_PROCESS, Communicator
 from agents.learner import checkpoint
 from agents.learner.happo import HappoLearner
 from agents.rollout.rollout import Trajectory
-from agents.settings import HAPPO, SAC, HappoConfig, SkillSettings
+from agents.settings import HAPPO, HappoConfig, SkillSettings
 from arenas.arena import Arena
 from arenas.arena_settings import Table
 from arenas.state import TeamSpec
@@ -72,11 +72,8 @@ def new_learner(
     seed = crc32(f"{config.seed}/{player.name}".encode())
     team = learning_team(config, arena, player)
     if settings.class_ != HAPPO:
-        ours = settings.class_ == SAC
-        size = _critic_size(config, arena, player.team, team) if ours else 0
-        own = settings if ours else settings.settings
-        source = LearnerSource(settings.class_, own, team, seed, config.training.device, size)
-        return OwnLearner(player.name, source)
+        device = config.training.device
+        return OwnLearner(player.name, LearnerSource(settings.class_, settings.settings, team, seed, device))
     if team is arena.teams[player.team]:
         settings = replace(settings, skill=SkillSettings())  # nobody in it has a skill: it learns each decision
     return _new_happo_learner(config, arena, player.team, team, settings, seed, comm)
@@ -87,24 +84,13 @@ def _new_happo_learner(
 ) -> HappoLearner:
     agents = team.agents
     sizes = [a.observation_size for a in agents], [a.action_size for a in agents]
-    other_sizes = _other_sizes(config, arena, number)
+    other_sizes = [a.observation_size for other in others(config, arena, number) for a in other.agents]
     kinds, sees = [a.kind for a in agents], settings.critic_input
     critic_size = {"privileged": sum(sizes[0]) + arena.privileged_size, "same": common_critic_size(arena.teams)}.get(
         sees, 0
     )
     sets = [[each.places for each in a.entities] for a in agents]
     return HappoLearner(*sizes, settings, seed, config.training.device, kinds, other_sizes, critic_size, sets, comm)
-
-
-def _other_sizes(config: Config, arena: Arena, number: int) -> list[int]:
-    """Return the sizes of other teams' observations that a team's critic sees."""
-    return [a.observation_size for other in others(config, arena, number) for a in other.agents]
-
-
-def _critic_size(config: Config, arena: Arena, number: int, team: TeamSpec) -> int:
-    """Return the number of inputs of a critic of one team's observations and of what the settings add to them."""
-    whole = arena.privileged_size if config.learner.critic_input == "privileged" else 0
-    return sum(a.observation_size for a in team.agents) + sum(_other_sizes(config, arena, number)) + whole
 
 
 def reset_learner(

@@ -45,7 +45,7 @@ class Matchups:
         self._each = max(1, worlds // self.groups)
         self.worlds = self._each * self.groups
         past_names = {name for seats in self.assigned for name in seats} - set(turn.present)
-        snapshots = {s.name: s for s in store.snapshots(league, brief=True)} if past_names else {}
+        snapshots = {s.name: s for s in store.snapshots(league, brief=True, named=past_names)}
         self.past = {name: _known(snapshots, name) for name in past_names}
         self._past: dict[str, list[Policy]] = {name: thaw(store, past, arena) for name, past in self.past.items()}
 

@@ -18,9 +18,8 @@ import torch
 from agents.batch import Batch, clean
 from agents.devices.distributed import SINGLE_PROCESS
 from agents.learner.interface import Learner
-from agents.off_policy.sac import SacLearner
 from agents.policy.host_policy import Actor, HostPolicy
-from agents.settings import HAPPO, SAC, HappoConfig
+from agents.settings import HAPPO
 from arenas import python_file
 from arenas.arena_settings import Table
 from arenas.contract.error_location import describe_error
@@ -42,12 +41,11 @@ PREFIX = "own."  # of its arrays in a checkpoint, where the league keeps others
 class LearnerSource(NamedTuple):
     """A class of a user, and what its learner is made of."""
 
-    where: str  # file.py:Class, or the name of one that comes with the league
-    settings: Table | HappoConfig
+    where: str  # file.py:Class
+    settings: Table
     team: TeamSpec
     seed: int
     device: str
-    critic_size: int = 0  # inputs of the critic; 0: its team's observations alone
 
 
 class OwnLearner:
@@ -62,7 +60,7 @@ class OwnLearner:
         device = source.device if source.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(device)
         with self._blamed(""):
-            made = _find(source)(source.team.agents, source.settings, source.seed, self.device)
+            made = _find(source.where)(source.team.agents, source.settings, source.seed, self.device)
         if missing := [verb for verb in VERBS if not callable(getattr(made, verb, None))]:
             raise self._failed(f" has no method {missing[0]}: a learner has {', '.join(VERBS)}, and act if it likes")
         self._learner: Learner = made
@@ -233,11 +231,9 @@ class OwnLearner:
             raise self._failed(f"{verb and '.'}{verb}: {said}") from error
 
 
-def _find(source: LearnerSource) -> Callable[..., Any]:
-    """Return the class that `source.where` names. Raises ArenaError, one line, or what the file raises."""
-    if source.where == SAC:
-        return partial(SacLearner, critic_size=source.critic_size)
-    file, _, name = source.where.rpartition(":")
+def _find(where: str) -> Callable[..., Any]:
+    """Return the class that `file.py:Class` names. Raises ArenaError, one line, or what the file raises."""
+    file, _, name = where.rpartition(":")
     if not Path(file).is_file():
         raise ArenaError(f"there is no file {file}")
     found = getattr(python_file(Path(file)), name, None)

@@ -121,10 +121,11 @@ class TrainingRecorder:
     ) -> dict[str, np.ndarray]:
         """(decisions,) Values by the critics of the players in `judges`, by the team or agent that they are of.
 
-        `judges` has a player for each team, "" for a team without values.
+        `judges` has a player for each team, "" for a team without values. What follows the episode is judged too, and
+        cut off then: inputs of its length would be compiled for each length anew, and JAX forgets no program.
         """
-        seen = jax.tree.map(lambda x: x[:decisions], played.seen)
-        trajectory = evaluation_trajectory(seen, arena.teams, self.config.learner.sequence is not None)
+        assert played.seen is not None
+        trajectory = evaluation_trajectory(played.seen, arena.teams, self.config.learner.sequence is not None)
         found: dict[str, np.ndarray] = {}
         for team, name in zip(arena.teams, judges, strict=True):
             if not name:
@@ -133,7 +134,7 @@ class TrainingRecorder:
             if not isinstance(learner, HappoLearner):
                 continue
             batch = batch_of(self.config, arena, self.pool.players[name], trajectory)
-            values = [each[:, 0].float().cpu().numpy() for each in learner.values(batch)]
+            values = [each[:decisions, 0].float().cpu().numpy() for each in learner.values(batch)]
             own = self.config.learner.method == "ippo"
             found |= dict(zip([a.name for a in team.agents] if own else [team.name], values, strict=True))
         return found

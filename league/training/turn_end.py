@@ -12,7 +12,8 @@ from league.config import experiment as configuration
 from league.scheduling import player_resets
 from league.snapshots import warm_start
 from league.state.jobs import TrainingTurn
-from league.state.league_state import LeagueState, episode_scores
+from league.state.league_state import LeagueState
+from league.state.recent_curves import episode_scores
 from league.system.provenance import made_by
 from league.training.learner_pool import Counters, LearnerPool
 from matchmaking.schedule import LearningCounts, next_due, phase_score, remaining
@@ -129,7 +130,7 @@ class TurnFinalizer:
         if not own:
             return False
         games = [*pool.meetings(store), *meetings]
-        state = LeagueState(list(pool.players.values()), store.snapshots(pool.league), meetings=games)
+        state = LeagueState(list(pool.players.values()), store.snapshots(pool.league, brief=True), meetings=games)
         found = {
             p.name: player_resets.current_generation(pool.role(p.name), state, p, pool.counters[p.name].steps)
             for p in own
@@ -151,7 +152,7 @@ class TurnFinalizer:
         rows are still to be written.
         """
         pool = self.pool
-        state = LeagueState(list(pool.players.values()), store.snapshots(pool.league))
+        state = LeagueState(list(pool.players.values()), store.snapshots(pool.league, brief=True))
         found = [self._snapshot(store, pool.players[name], key, state) for name in self.turn.present if name]
         return [snapshot for snapshot in found if snapshot is not None]
 
@@ -170,8 +171,8 @@ class TurnFinalizer:
 
     @cached_property
     def _settings(self) -> str:
-        """The configuration as text, with the code that runs, as each snapshot keeps it."""
-        return configuration.dumps(self.config) + made_by()
+        """The configuration as text, with the code that runs, as each snapshot keeps it: short, for there are many."""
+        return configuration.dumps(self.config, comments=False) + made_by()
 
     def _due(self, player: Player, last: Snapshot) -> bool:
         """Return whether a snapshot is due.

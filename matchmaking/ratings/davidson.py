@@ -67,7 +67,8 @@ class Likelihood(PenalisedLikelihood):
         away = np.concatenate([payoff.second, payoff.first])
         counts = np.concatenate([payoff.home, payoff.away[:, ::-1]]).astype(float)
         met = counts.any(1)
-        identifiable = sides and not _is_potential(P, home[met], away[met])
+        both = (payoff.home.any(1) & payoff.away.any(1)).any()  # as almost always: there is no need to search
+        identifiable = sides and bool(both or not _is_potential(P, home[met], away[met]))
         free = np.append(np.ones(P, bool), np.array([identifiable, counts[:, 1].any()], bool))
         return cls(P, home, away, counts, prior, free)
 

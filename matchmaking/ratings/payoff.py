@@ -91,12 +91,17 @@ class Payoff:
         if not len(self.first):
             return np.zeros((*edge.shape, 9), np.int64)
         turned = np.broadcast_to((np.asarray(i) > np.asarray(j))[..., None], (*edge.shape, 1))
-        games, pairs = (self.home + self.away)[edge], self.pairs[edge]
+        games, pairs = self.home[edge] + self.away[edge], self.pairs[edge]
         found = np.concatenate([
             np.where(turned, games[..., ::-1], games), np.where(turned, pairs[..., ::-1], pairs),
             self.voids[edge][..., None],
         ], -1)  # fmt: skip
         return np.where((edge >= 0)[..., None], found, 0)
+
+    def episodes_between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Return the episodes that i and j have played together, void ones included; arrays as for `edges`."""
+        found = self.between(i, j)
+        return found[..., :3].sum(-1) + found[..., 8]
 
     def block(self, rows: Sequence[int] | np.ndarray, columns: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return (4, R, C) wins, draws and losses of the rows against the columns, and voids."""
@@ -227,13 +232,6 @@ def sum_matches(
     for snapshots, totals in lineups.items():
         at = [place[name] for name in snapshots]
         last[at] = np.maximum(last[at], totals.created)
-    if onto is not None:
-        now = np.array([place[name] for name in onto.names], np.int64)
-        before = (onto.home, onto.away, onto.pairs, onto.voids, onto.at_fault)
-        table = np.concatenate([table, np.column_stack([now[onto.first], now[onto.second], *before])])
-        trials[now] += onto.trials
-        last[now] = np.maximum(last[now], onto.last)
-        rankings = rankings.plus(onto.rankings.renumbered(now))
     # Pairs are numbered by position, so sums do not depend on the order of rows (and integers add exactly).
     pair = table[:, 0] * len(names) + table[:, 1]
     order = np.argsort(pair, kind="stable")
@@ -241,10 +239,37 @@ def sum_matches(
     keys, sums = pair[order[starts]], np.zeros((len(starts), 14), np.int64)
     if len(starts):
         np.add.reduceat(table[order, 2:], starts, out=sums)
+    columns = np.split(sums, [3, 6, 11, 12], axis=1)
+    if onto is not None:
+        now = np.array([place[name] for name in onto.names], np.int64)
+        trials[now] += onto.trials
+        last[now] = np.maximum(last[now], onto.last)
+        rankings = rankings.plus(onto.rankings.renumbered(now))
+        before = (onto.home, onto.away, onto.pairs, onto.voids[:, None], onto.at_fault)
+        keys, columns = _merged(now[onto.first] * len(names) + now[onto.second], before, keys, columns)
     first, second = np.divmod(keys, max(len(names), 1))
-    home, away, pairs, void, at_fault = np.split(sums, [3, 6, 11, 12], axis=1)
+    home, away, pairs, void, at_fault = columns
     key = next(iter(arenas), None)
     return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, key, rankings)
+
+
+def _merged(
+    keys: np.ndarray, counts: Sequence[np.ndarray], new_keys: np.ndarray, new_counts: Sequence[np.ndarray]
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the counts of pairs and those of new games, by ascending pair, as both are given.
+
+    The pairs are not sorted again: a plan adds a few games to very many.
+    """
+    place = np.searchsorted(keys, new_keys)
+    known = np.zeros(len(new_keys), bool)
+    known[place < len(keys)] = keys[place[place < len(keys)]] == new_keys[place < len(keys)]
+    keys = np.insert(keys, place[~known], new_keys[~known])
+    found, at = [], np.searchsorted(keys, new_keys[known])
+    for old, new in zip(counts, new_counts, strict=True):
+        merged = np.insert(old, place[~known], new[~known], axis=0)  # a copy in any case
+        merged[at] += new[known]
+        found.append(merged)
+    return keys, found
 
 
 def rankings_payoff(names: tuple[str, ...], rankings: Rankings) -> Payoff:
@@ -273,8 +298,8 @@ def _columns(
             [m.created for m in pairs], 0, lineups_of(m for m in matches if isinstance(m, RankedMatch)),
         )  # fmt: skip
     try:
-        counts = np.array(matches.counts, np.int64).reshape(-1, len(COUNT_COLUMNS))
-        created = np.array(matches.created, float)
+        counts = np.asarray(matches.counts, np.int64).reshape(-1, len(COUNT_COLUMNS))
+        created = np.asarray(matches.created, float)
     except (ValueError, TypeError, OverflowError) as error:
         raise Contradiction(f"the log of matches is damaged: {str(error)[:80]}") from None
     if not np.isfinite(created).all() or (np.abs(counts) > MAX_GAMES).any():

@@ -1,6 +1,6 @@
 """Operations on players: their snapshots, their checkpoints and the phases in which they learn."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -53,16 +53,24 @@ class Players(StoreBase):
         end = sa.func.substr(c.settings, sa.func.length(c.settings) - letters + 1)
         return {name: text for name, text in self._db.rows(sa.select(c.name, end).where(c.league == league))}
 
-    def snapshots(self, league: str, player: str | None = None, brief: bool = False) -> list[Snapshot]:
+    def snapshots(
+        self, league: str, player: str | None = None, brief: bool = False, named: Collection[str] | None = None
+    ) -> list[Snapshot]:
         """Return the league's snapshots, or one player's, by (iteration, name); snapshots without a player come first.
 
         With `brief`, their `settings` are left empty: these repeat the same text and are most of what would be read.
+        With `named`, only those of these names; names of none are left out.
         """
         c = t.snapshots.c
         mine = [c.player == player] if player is not None else []
+        mine += [c.name.in_(named)] if named is not None else []
         order = (sa.case((c.player.is_(None), 0), else_=1), c.iteration, c.name)
         omit = ("settings",) if brief else ()
         return self._db.records(Snapshot, t.snapshots, c.league == league, *mine, order=order, omit=omit)
+
+    def snapshot_names(self, league: str) -> list[str]:
+        """Return the names of the league's snapshots, which an index has: much cheaper than the snapshots."""
+        return [name for (name,) in self._db.rows(sa.select(t.snapshots.c.name).where(t.snapshots.c.league == league))]
 
     def snapshot_count(self, league: str) -> tuple[int, int]:
         """Return how many snapshots the league has, and how many of them are thinned.

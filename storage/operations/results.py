@@ -1,6 +1,8 @@
 """Operations that read the results of playing and learning: the match log, learning curves, training games."""
 
+from array import array
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import sqlalchemy as sa
@@ -78,7 +80,8 @@ class Results(StoreBase):
         chosen = [*_chosen(t.matches, league, purpose, 0), *([c.created <= until] if until is not None else [])]
         sums = [sa.cast(sa.func.sum(c[name]), sa.BigInteger) for name in COUNT_COLUMNS]  # PostgreSQL sums to decimals
         key = [c[name] for name in ArenaKey._fields]
-        found: dict[ArenaKey, tuple[list[Any], ...]] = {}  # lists of column values
+        found: dict[ArenaKey, tuple[list[str], list[str | None], array[int], array[float], int]] = {}
+        names: dict[str | None, str | None] = {}  # so that each text is in memory once
         with (
             self._db.repeatable_read() as db,
             paused_garbage_collection(),
@@ -86,7 +89,7 @@ class Results(StoreBase):
             for arena in [ArenaKey(*row) for row in db.execute(sa.select(*key).where(*chosen).distinct())]:
                 mine = (*chosen, *(column == value for column, value in zip(key, arena, strict=True)))
                 query = sa.select(c.a, c.b, *sums, sa.func.max(c.created), sa.func.max(c.id)).where(*mine)
-                columns = found.setdefault(arena, ([], [], [], [], []))
+                of_a, of_b, sums_of, times, newest = [], [], array("q"), array("d"), 0
                 read = db.execute(query.group_by(c.a, c.b), execution_options={"yield_per": 1000}).partitions()
                 for rows in self._db.checked(
                     iter(read), "matches"
@@ -96,13 +99,20 @@ class Results(StoreBase):
                         raise StorageError(
                             f"{self.where}: a row of table 'matches' is damaged: an id is no whole number."
                         )
-                    for column, values in zip(columns, (a, b, zip(*counts, strict=True), created, last), strict=True):
-                        column.extend(values)
+                    of_a += [names.setdefault(name, name) for name in a]
+                    of_b += [names.setdefault(name, name) for name in b]
+                    try:
+                        sums_of.extend(chain.from_iterable(zip(*counts, strict=True)))
+                        times.extend(created)
+                    except (TypeError, OverflowError) as error:
+                        raise StorageError(f"{self.where}: the log of matches is damaged: {error}.") from None
+                    newest = max(newest, *last)
+                found[arena] = of_a, of_b, sums_of, times, newest
             ranked = self._lineups(db, league, purpose, until)
         logs = [
-            MatchTotals(key, a, b, counts, created, max(*last, newest), lineups)
+            MatchTotals(key, a, b, counts, created, max(last, newest), lineups)
             for key in {**found, **ranked}
-            for a, b, counts, created, last in (found.get(key, ([], [], [], [], [0])),)
+            for a, b, counts, created, last in (found.get(key, ([], [], array("q"), array("d"), 0)),)
             for newest, lineups in (ranked.get(key, (0, {})),)
         ]
         return {each.arena: each for each in sorted(logs, key=lambda each: -each.newest)}

@@ -152,10 +152,14 @@ def written(figures: dict[str, Any], out: Path | None) -> None:
 
 
 class Campaign:
-    """Rounds, several at the same time, whose counts are written to a file as each ends."""
+    """Rounds, several at the same time, whose counts are written to a file as each ends.
 
-    def __init__(self, asked: argparse.Namespace):
-        self.asked, self.figures, self.counting = asked, loaded(asked.out), threading.Lock()
+    `expected` is the result of an undisturbed league of as many steps, where the caller has it.
+    """
+
+    def __init__(self, asked: argparse.Namespace, expected: dict[str, Any] | None = None):
+        self.asked, self.expected = asked, expected
+        self.figures, self.counting = loaded(asked.out), threading.Lock()
         self.folder = Path(tempfile.mkdtemp(prefix="faults-"))
         self.folder.chmod(0o755)  # PostgreSQL's user needs access
         self.databases = asked.databases or (["sqlite", "postgresql"] if programs() else ["sqlite"])
@@ -165,8 +169,9 @@ class Campaign:
 
     def run(self) -> dict[str, Any]:
         """Run rounds until the time is over; return the figures."""
-        print(f"{self.folder}: first an undisturbed league", flush=True)
-        self.expected = undisturbed(self.folder / "undisturbed", self.asked.steps)
+        if self.expected is None:
+            print(f"{self.folder}: first an undisturbed league", flush=True)
+            self.expected = undisturbed(self.folder / "undisturbed", self.asked.steps)
         self.deadline = time.monotonic() + 60 * self.asked.minutes
         with ThreadPoolExecutor(self.asked.at_once) as pool:
             for stream in [pool.submit(self._stream) for _ in range(self.asked.at_once)]:
@@ -196,14 +201,14 @@ class Campaign:
         print(f"{datetime.now(UTC):%H:%M:%S} {database}, seed {seed}: {json.dumps(outcome)}", flush=True)
 
 
-def main() -> int:
+def main(words: list[str] | None = None, expected: dict[str, Any] | None = None) -> int:
     """Run the campaign; return 1 if anything was lost."""
-    figures = Campaign(_asked()).run()
+    figures = Campaign(_asked(words), expected).run()
     print(json.dumps(figures, indent=2))
     return 1 if figures["lost"] else 0
 
 
-def _asked() -> argparse.Namespace:
+def _asked(words: list[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--rounds", type=int, default=10**6)
@@ -214,7 +219,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--harm", nargs="+", default=[], choices=[do.__name__ for do in OFTEN], help="none: all")
     parser.add_argument("--no-disk", dest="disk", action="store_false", help="no small disks, which need root")
     parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args()
+    return parser.parse_args(words)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,6 @@
 
 import json
 import random
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -11,26 +9,31 @@ import pytest
 
 from storage.store import Store
 from tests.faults import harm
-from tests.faults.faults import add, loaded, possible, written
+from tests.faults.faults import add, loaded, main, possible, undisturbed, written
 from tests.faults.harm import Scene
 from tests.faults.hunted import LEAGUE, Hunted, Lost, findings
 from tests.faults.servers import Line, Server, programs
-from tests.league.conftest import ENVIRONMENT, ROOT
 from tests.storage.sound import fill
 
+STEPS = 3072
 
-def campaign(folder, *args: str) -> dict:
+
+def campaign(folder: Path, *args: str, expected: dict | None = None) -> dict:
     out = folder / "counts.json"
-    call = [sys.executable, "-m", "tests.faults.faults", "--out", str(out), "--no-disk", *args]
-    done = subprocess.run(call, capture_output=True, text=True, timeout=550, env=ENVIRONMENT, cwd=ROOT)
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert main(["--out", str(out), "--no-disk", *args], expected) == 0, out.read_text()
     return json.loads(out.read_text())
 
 
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory) -> dict:
+    """The result of a league of as many steps without faults."""
+    return undisturbed(tmp_path_factory.mktemp("undisturbed"), STEPS)
+
+
 @pytest.mark.slow  # a minute or two of two cores
-def test_processes_killed_at_random_moments_cost_nothing(tmp_path):
-    rounds = ("--rounds", "1", "--strikes", "4", "--steps", "3072", "--databases", "sqlite")
-    counts = campaign(tmp_path, *rounds, "--harm", "kill_one", "kill_all")
+def test_processes_killed_at_random_moments_cost_nothing(expected, tmp_path):
+    rounds = ("--rounds", "1", "--strikes", "4", "--steps", str(STEPS), "--databases", "sqlite")
+    counts = campaign(tmp_path, *rounds, "--harm", "kill_one", "kill_all", expected=expected)
     assert counts["lost"] == []
     assert counts["databases"]["sqlite"]["rounds"] == 1
     assert counts["databases"]["sqlite"]["matches"] > 10
@@ -47,9 +50,9 @@ def test_neither_do_blobs_that_are_unmounted_nor_a_worker_whose_imports_fail(tmp
 
 @pytest.mark.slow  # the same
 @pytest.mark.skipif(programs() is None, reason="no PostgreSQL is installed here")
-def test_neither_does_a_database_that_crashes_or_cannot_be_reached(tmp_path):
-    rounds = ("--rounds", "1", "--strikes", "4", "--steps", "3072", "--databases", "postgresql")
-    counts = campaign(tmp_path, *rounds, "--harm", "restart_server", "cut_line")
+def test_neither_does_a_database_that_crashes_or_cannot_be_reached(expected, tmp_path):
+    rounds = ("--rounds", "1", "--strikes", "4", "--steps", str(STEPS), "--databases", "postgresql")
+    counts = campaign(tmp_path, *rounds, "--harm", "restart_server", "cut_line", expected=expected)
     assert counts["lost"] == []
     assert sum(counts["databases"]["postgresql"]["harm"].values()) > 2
 

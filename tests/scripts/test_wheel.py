@@ -1,7 +1,5 @@
 """The wheel, installed into a fresh environment, runs a league in a folder that holds others' files of our names."""
 
-import shutil
-import subprocess
 import sys
 import sysconfig
 import venv
@@ -11,46 +9,19 @@ from zipfile import ZipFile
 import pytest
 
 from league.system.provenance import PACKAGES
-from tests.league.conftest import ENVIRONMENT, ROOT
+from tests.league.conftest import ROOT
+from tests.scripts.wheel import build_wheel, run
 
-SOURCES = (
-    "league",
-    "arenas",
-    "agents",
-    "matchmaking",
-    "storage",
-    "dashboards",
-    "pyproject.toml",
-    "README.md",
-    "LICENSE",
-)
 LEAGUE = (
     "run", "--arena.name", "rock-paper-scissors", "--training.worlds", "16", "--steps", "2048",
     "--budget.rating_time", "0s", "--store", "store",
 )  # fmt: skip
 
 
-def run(*words: str | Path, cwd: Path) -> str:
-    """Run a command without this process's import path; fail with what it said."""
-    found = {name: value for name, value in ENVIRONMENT.items() if not name.startswith("PYTHON")}
-    done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=300, env=found)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     """The wheel of this checkout."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
-    source.mkdir()
-    for name in SOURCES:
-        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
-        copy(ROOT / name, source / name)
-    build = (sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", folder, source)
-    run(*build, cwd=folder)
-    (found,) = folder.glob("robot_league-*.whl")
-    return found
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture

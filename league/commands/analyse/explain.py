@@ -29,10 +29,12 @@ def explain(args: list[str]) -> int:
     what = "Whom a player meets in training now, how often, and why; from which snapshots a snapshot continues."
     options = parse(ExplainOptions, args, "explain", what)
     with options.open() as opened:
-        snapshots = opened.store.snapshots(opened.league)
+        snapshots = opened.store.snapshots(opened.league, brief=True)
         names = [s.name for s in snapshots]
         if options.player in names:
-            _print_lineage(lineage(snapshots, options.player), options.format)
+            line = [each.snapshot.name for each in lineage(snapshots, options.player)]
+            whole = opened.store.snapshots(opened.league, named=line)  # with their settings, which are long
+            _print_lineage(lineage(whole, options.player), options.format)
             return 0
         if "@" in options.player:
             raise UnknownName("snapshot", options.player, names)

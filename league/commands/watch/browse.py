@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dashboards.errors import ViewerError
 from league.commands.options import Where, parse
 from league.commands.progress_bar import Progress
 from league.queries.match_players import players_of
@@ -32,10 +33,11 @@ def browse(args: list[str]) -> int:
     options = parse(BrowseOptions, args, "browse", "The newest recorded matches as a table; a click opens one in 3D.")
     from dashboards import viewer
     from dashboards.system.temporary_folders import temporary_folder
-    from dashboards.viewer.headless import start_window
+    from dashboards.viewer.headless import NO_WINDOW, start_window
 
+    otherwise = "--web for a browser on this machine, or league watch --save match.rrd for a file"
     if not options.web:
-        viewer.require_display("--web for a browser on this machine, or league watch --save match.rrd for a file")
+        viewer.require_display(otherwise)
     with temporary_folder("robot-league-matches-") as folder, suppress(KeyboardInterrupt):
         with options.open() as opened:
             _write(opened, folder, options.last)
@@ -43,7 +45,9 @@ def browse(args: list[str]) -> int:
             if not options.web:
                 opened_window = start_window(address)
                 try:
-                    return opened_window.wait()
+                    if opened_window.wait() != 0:
+                        raise ViewerError(f"{NO_WINDOW}; use {otherwise}")
+                    return 0
                 finally:
                     opened_window.kill()  # there is no other table
             print(f"{address}\nshows them in a browser on this machine: click on league. Ctrl-C ends that.", flush=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 NAME = "agents"
 FOLDER = Path(__file__).resolve().parents[3] / NAME
-MODULES = ("batch", "bridge", "devices", "errors", "learner", "off_policy", "policy", "rollout", "settings")
+MODULES = ("batch", "bridge", "devices", "errors", "learner", "policy", "rollout", "settings")
 """Modules and folders of ours in it."""
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from dashboards import viewer
+from dashboards.errors import ViewerError
 from dashboards.system.ports import listen, next_port
 from dashboards.viewer.headless import (
     WINDOWS,
@@ -68,7 +69,7 @@ def test_a_table_of_matches(tmp_path: Path):
         assert_loopback(port)
 
 
-def test_a_picture():
+def test_a_picture(graphics):
     with viewer_log() as log:
         port = free_port()
         process = start_rerun(log, "--headless", "--port", str(port))
@@ -81,7 +82,7 @@ def test_a_picture():
 
 
 @pytest.fixture
-def windows(tmp_path: Path, monkeypatch):
+def headless_windows(tmp_path: Path, monkeypatch):
     """Rerun's program, which takes the word --headless wherever a window would open."""
     program = tmp_path / "rerun"
     program.write_text(f'#!/bin/sh\nexec "{executable()}" --headless "$@"\n')
@@ -95,13 +96,24 @@ def windows(tmp_path: Path, monkeypatch):
     WINDOWS.clear()
 
 
-def test_the_window_of_a_match(windows):
+def test_a_window_without_a_driver_is_told_in_a_line(headless_windows, monkeypatch):
+    """It listens, and ends a second later as it draws."""
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    with pytest.raises(ViewerError, match="window did not open here; it needs a display and a graphics driver; use --"):
+        viewer.show(cars(), port=free_port())
+    (window,) = WINDOWS
+    assert window.wait(60) != 0
+
+
+def test_the_window_of_a_match(graphics, headless_windows):
     port = free_port()
     viewer.show(cars(), port=port)
     assert_loopback(port)
 
 
-def test_the_window_of_a_table_of_matches(windows):
+def test_the_window_of_a_table_of_matches(graphics, headless_windows):
     port = free_port()
     process = start_window("--port", str(port))
     try:

@@ -14,6 +14,10 @@ from league.config.sections import PlayerSettings, named_players
 def test_a_preset_survives_its_own_file(name):
     preset = presets.preset(name)
     assert config.loads(config.dumps(preset)) == preset
+    short = config.dumps(preset, comments=False)
+    assert config.loads(short) == preset
+    assert "#" not in short
+    assert len(short) < len(config.dumps(preset)) / 4
 
 
 HARL_A = """

@@ -10,6 +10,7 @@ from league.scheduling.match_scheduler import CREDIT
 from league.scheduling.progress_metrics import initial_opponents, reference_opponents
 from league.state.jobs import RatingMatch, decode
 from league.state.league_state import Batches, LeagueState
+from league.state.recent_curves import RecentCurve
 from league.system.batch_sizes import RATING
 from matchmaking.schedule import Schedule
 from storage.errors import StorageError
@@ -318,7 +319,7 @@ def test_trials_that_may_end_a_stage_come_first_and_no_others_hold_them_up():
     alone = under_way(100.0, players=PLAYERS[:1], checkpoints=checkpoints(64, 100.0, PLAYERS[:1]), snapshots=frozen)
     config = sharing()
     deciding = replace(config, budget=configuration.Budget(success=0.9))
-    alone = replace(alone, successes={"blue": 0.95})
+    alone = replace(alone, curves={"blue": RecentCurve(success=0.95)})
     tried = with_matches(alone, [match("blue@64", None, config.rating.episodes_per_pair)])
     for each in (config, deciding):
         assert pairs_of(match_scheduler.next_matches(each, alone)) == [(f"blue@{i}", None) for i in (64, 32, 16, 8)]
@@ -335,7 +336,8 @@ def test_trials_wait_until_training_succeeds_as_often_as_the_stage_asks():
 
     def dues_at(seconds, batches=None, budget=config.budget, **successes):
         state = under_way(seconds, batches, players=PLAYERS[:1], snapshots=frozen)
-        state = replace(state, checkpoints=checkpoints(2, seconds, PLAYERS[:1]), successes=successes)
+        curves = {name: RecentCurve(success=share) for name, share in successes.items()}
+        state = replace(state, checkpoints=checkpoints(2, seconds, PLAYERS[:1]), curves=curves)
         return dues(replace(config, budget=budget), state)
 
     assert dues_at(30.0) == dues_at(30.0, blue=0.89) == []

@@ -7,7 +7,8 @@ import numpy as np
 
 from league.scheduling import turn_scheduler
 from league.snapshots.codec import add_scripts
-from league.state.league_state import LeagueState, episode_scores
+from league.state.league_state import LeagueState
+from league.state.recent_curves import episode_scores
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule, phase_score
 from storage.blobs import arrays

@@ -1,11 +1,15 @@
 """A store, a pack and a policy file that were written by commit 57ed746: see tests/league/data/README.md."""
 
+import sqlite3
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from league.commands.run.request import read
+from league.config.schema import ConfigError
 from league.queries.query import Open
+from league.runtime.validation import validate
 from storage.database.schema import newest_schema
 from storage.maintenance.verify import verify
 from storage.store import Store
@@ -76,3 +80,20 @@ def test_a_policy_of_an_earlier_version_is_imported_and_plays(earlier, capsys):
         (match,) = store.matches("cup", "exhibition")
         assert (match.a, match.b) == ("veteran", "rock")
         assert match.wins + match.draws + match.losses == 8
+
+
+def test_a_league_whose_learner_was_removed_opens_and_plays_and_learns_no_more(earlier, capsys):
+    with sqlite3.connect(earlier / "league.db") as database:
+        sac = '[learner]\nclass = "sac"\nsac = {batch = 64, replay = {start = 128}}\n'  # as at commit 7228567
+        database.execute("UPDATE leagues SET config = replace(config, ?, ?)", ("[learner]\n", sac))
+    database.close()
+    where = ("--store", str(earlier))
+    for command in ("ratings", "status", "play blue@3 rock --episodes 8"):
+        code, out, err = ran(capsys, *command.split(), *where)
+        assert (code, err) == (0, ""), command
+        assert "blue" in out, command
+    request = read([*where])
+    assert request.config.learner.class_ == "sac"
+    with pytest.raises(ConfigError) as refused:
+        validate(request.config)
+    assert "the learner sac was removed" in str(request.with_location(refused.value))

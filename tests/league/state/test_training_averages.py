@@ -2,7 +2,8 @@
 
 import pytest
 
-from league.state.league_state import ENOUGH, LeagueState
+from league.state.league_state import LeagueState
+from league.state.recent_curves import ENOUGH
 from storage.records import CurvePoint
 from tests.league.leagues import filled, finish
 

@@ -14,7 +14,7 @@ from league.config import presets
 from league.queries.page.league_page import sections
 from league.queries.query import Open, match_rows, score_text
 from league.state.league_state import LeagueState
-from league.state.void_rates import Voids, of_matches, of_training
+from league.state.void_rates import Voids, of_matches, of_training, sums
 from matchmaking.ratings.ladder import Ladder
 from storage.records import CurvePoint
 from tests.league.leagues import filled, finish, match
@@ -70,8 +70,8 @@ def test_one_void_episode_in_a_hundred_is_no_warning(opened):
 
 
 def test_old_iterations_and_few_episodes_say_nothing():
-    assert of_training([point(1, episodes=1.0, voids=50.0)]).warns is False
-    assert of_training([point(1, episodes=950.0, voids=50.0)]).warns
+    assert of_training([sums([point(1, episodes=1.0, voids=50.0)])]).warns is False
+    assert of_training([sums([point(1, episodes=950.0, voids=50.0)])]).warns
     assert of_matches([]) == Voids("rating", 0, 0)
 
 

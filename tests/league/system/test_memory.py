@@ -16,10 +16,7 @@ from league.config.schema import ConfigError
 from league.runtime.validation import validate
 from league.system import memory
 from league.system.compiled import Compiled
-from league.training.learner_factory import new_learner
-from league.training.own_learner import OwnLearner
 from storage.errors import StorageError
-from storage.records import Player
 from storage.store import Store
 from tests.league.conftest import ENVIRONMENT
 
@@ -88,23 +85,6 @@ def test_critics_that_see_more_need_more():
     assert needs["own"] < needs["all"] < needs["same"]
     assert needs["own"] < needs["privileged"]
     assert memory.learning(config, arena, 512) == 2 * needs["own"]
-
-
-@pytest.mark.parametrize("sees", ["own", "all", "privileged"])
-def test_replay_buffers_are_counted_as_what_they_take(sees):
-    arena = arenas.settings("sumo-1v1").build(engine="c", threads=1)
-    config = configuration.default("sumo-1v1")
-    assert memory.replay(config, arena) == 0  # no player has one
-    learner = replace(config.learner, class_="sac", critic_input=sees)
-    config = replace(config, learner=learner)
-    taken = 0
-    for number, team in enumerate(arena.teams):
-        made = new_learner(config, arena, Player(config.league, team.name, number, "main", ""))
-        assert isinstance(made, OwnLearner)
-        buffer = made._learner._buffer()  # type: ignore[attr-defined]
-        taken += sum(x.nbytes for x in (buffer.rows, buffer.valid, buffer.tags, buffer.counts))
-    assert memory.replay(config, arena) == pytest.approx(taken, rel=0.03)
-    assert memory.learning(config, arena, 4) > taken
 
 
 def test_worlds_that_are_fewer_than_a_turn_has_groups_are_refused():

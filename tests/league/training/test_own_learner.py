@@ -116,6 +116,23 @@ def test_functions_act_on_the_host_and_the_past_as_arrays(store, game, tmp_path)
     assert mine == pytest.approx(theirs, abs=0.05)
 
 
+MEETS = """
+class Mine(Reinforce):
+    def meet(self, opponents):
+        self.met = opponents
+
+    def learn(self, batch):
+        past = sum("@" in each for each in self.met)
+        return {**super().learn(batch), "groups": len(self.met), "past": past, "red": self.met.count("red")}
+"""
+
+
+def test_a_learner_is_told_before_each_turn_whom_it_meets(store, game, tmp_path):
+    turns(store, of(written(tmp_path, MEETS), Opponents("uniform", past=0.5, groups=2)), game, 4)
+    told = store.curves(LEAGUE, "blue")[-1].values
+    assert {name: told[name] for name in ("groups", "past", "red")} == {"groups": 2, "past": 1, "red": 1}
+
+
 PROGRAMS = """
 class Net(torch.nn.Module):
     def __init__(self):
@@ -207,7 +224,7 @@ def test_what_no_league_can_use_is_refused_before_it_starts_in_one_line(tmp_path
 
 
 @pytest.mark.parametrize(("flags", "line"), [
-    ({"class": "mine"}, r"--learner\.class = \"mine\": must be happo, sac, or a class in a file of yours"),
+    ({"class": "mine"}, r"--learner\.class = \"mine\": must be happo, or a class in a file of yours"),
     ({"class": "my.py:Mine", "lr": "0.1"}, r"--learner\.lr = 0\.1: is a setting of happo, .* --learner\.settings\.lr"),
     ({"settings": "{lr = 1}"}, r"--learner\.settings = .*: are those of a class of yours; name it as learner\.class"),
 ])  # fmt: skip

@@ -17,7 +17,8 @@ from storage.errors import DamagedBlob, StorageError, Unavailable
 from storage.maintenance.thinning import RetentionPolicy
 from storage.maintenance.verify import verify
 from storage.store import Store
-from tests.storage import s3, sound
+from tests.storage import sound
+from tests.storage.object_storage import moto_server as s3
 
 DATA = b"a policy"
 DIGEST = hashlib.sha256(DATA).hexdigest()
@@ -43,6 +44,7 @@ def bucket(s3_server: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> s
     """A new bucket, which the environment's keys open."""
     for name, value in {**s3.KEYS, "AWS_ENDPOINT_URL": s3_server}.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setattr("storage.blobs.s3.LATE_SECONDS", 0.2)
     name = f"blobs-{hashlib.sha256(str(tmp_path).encode()).hexdigest()[:12]}"
     BucketBlobs(name, "")._s3.mkdir(name)
     return name

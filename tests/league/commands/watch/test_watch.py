@@ -209,6 +209,16 @@ def test_without_a_display_the_commands_that_work_are_named(store, capsys, monke
     assert "--web for a browser on this machine, --save match.rrd for a file or --shot match.png" in err
 
 
+def test_a_window_that_cannot_open_is_told_in_a_line(store, capsys, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":4242")  # no X server answers there
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    told = refused(capsys, "browse", "--last", "1", "--store", str(store))
+    assert told.endswith(
+        "rerun's window did not open here; it needs a display and a graphics driver; "
+        "use --web for a browser on this machine, or league watch --save match.rrd for a file\n"
+    )
+
+
 def test_an_episode_with_sides_swapped_and_what_is_whole_of_a_damaged_one(store, capsys, tmp_path):
     saved = ("--store", str(store), "--save", str(tmp_path / "match.rrd"))
     assert "blue@4 against red@4, red@4 wins as red" in ran(capsys, "watch", "1", "--episode", "1", *saved)[1]

@@ -1,7 +1,7 @@
 """A league on a real Slurm cluster of one machine: jobs requeued, cancelled, out of time, on nodes that drain or die.
 
-    python -m tests.faults.slurm --out tests/faults/results/slurm-cpu.json
-    python -m tests.faults.slurm --cases requeued cancelled
+    python -m tests.faults.supervisors.slurm --out tests/faults/results/slurm-cpu.json
+    python -m tests.faults.supervisors.slurm --cases requeued cancelled
 
 Starts `slurmctld` and two `slurmd` without accounting (Debian's package `slurm-wlm`) and a PostgreSQL server of its
 own, and submits `deploy/league.sbatch` as it is, with another time limit. Both nodes say that they have a GPU, which
