@@ -182,7 +182,7 @@ def _result(task: Task, content: dict[str, Any]) -> str:
         after = "is not reached" if reached is None else f"is reached after {reached:g} s of training"
         lines.append(f"75 % against the references of the middle stage {after}.")
     for each in found["exploitability"] or []:
-        lines.append(f"An attacker of {each['policy']} scores {_percent(each)} after {each['steps']:,} steps.")
+        lines.append(f"An attacker of {each['policy']} scores {_percent(each)} after {each['attacker_steps']:,} steps.")
     if content["trial"]:
         lines.append(
             f"This is a trial, no record: a record has {GAMES:,} games of each pair, all references and the seed of"

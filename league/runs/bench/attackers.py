@@ -35,8 +35,8 @@ def attacks(
                 if attacker is None:
                     raise ManagerError(f"the attacker of {name} was stopped: no result was written")
                 match = measure(bring_in(league.opened, attacker), games)
-                about = {"policy": name, "times": times, "steps": attacker.step, "attacker_seed": seed}
-                rows.append(about | dict(row_of(match)))
+                about = {"policy": name, "times": times, "attacker_steps": attacker.step, "attacker_seed": seed}
+                rows.append({**row_of(match), **about})
     return rows
 
 
@@ -57,6 +57,6 @@ def exploitability(task: Task, rows: Sequence[Row]) -> list[dict[str, Any]] | No
         if games and (best is None or score > best["score"]):
             ends = {"score": round(score, DIGITS), "low": round(low, DIGITS), "high": round(high, DIGITS)}
             over = round(score - 0.5, DIGITS) if task.alike else None
-            about = {key: row[key] for key in ("policy", "times", "steps", "attacker_seed")}
+            about = {key: row[key] for key in ("policy", "times", "attacker_steps", "attacker_seed")}
             found[row["policy"], row["times"]] = {**about, "games": games, **ends, "over": over}
     return list(found.values()) or None

@@ -96,7 +96,7 @@ def _attacked(entry: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> str
     if not found:
         return "not measured"
     most = max(found, key=lambda each: each["score"])
-    return f"attackers score {_percent(most)} after {most['steps']:,} steps"
+    return f"attackers score {_percent(most)} after {most['attacker_steps']:,} steps"
 
 
 def _exact_row(entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -70,13 +70,13 @@ def test_unlike_sides_are_rated_each_and_seeds_that_fit_each_other_are_seen():
 
 
 def test_the_best_attacker_counts_and_a_game_that_the_victim_broke_is_its_loss():
-    about = {"policy": "e1", "times": 1, "steps": 64}
+    about = {"policy": "e1", "times": 1, "attacker_steps": 64}
     rows = [
         about | row("attacker", "e1", 10, 0, 20, voids=2, voids_by_b=2) | {"attacker_seed": 1},
         about | row("attacker", "e1", 8, 0, 24) | {"attacker_seed": 2},
     ]
     (found,) = attackers.exploitability(SUMO, rows)
-    assert (found["attacker_seed"], found["score"], found["over"]) == (1, 12 / 32, -0.125)
+    assert (found["attacker_seed"], found["attacker_steps"], found["score"], found["over"]) == (1, 64, 12 / 32, -0.125)
     assert attackers.exploitability(SUMO, []) is None
 
 
