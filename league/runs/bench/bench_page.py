@@ -17,15 +17,16 @@ from league.runs.bench.tasks import GAMES, TASKS, Task
 Entries = Mapping[Path, Mapping[str, Any]]
 PLAYED = (
     Column("rank", decimals=0), Column("entry", no_wrap=True), "record", Column("elo", "Elo", 0),
-    Column("error", "±", 0),
-    Column("range", "lowest to highest"), Column("worst score", no_wrap=True), "exploitability",
-    Column("voids", "void %", 2), Column("policies", decimals=0), "side", Column("games", "games a pair"),
+    Column("error", "±", 0), Column("range", "lowest to highest"), Column("worst score", no_wrap=True),
+    "exploitability", Column("voids", "void %", 2), Column("policies", decimals=0), "side",
+    Column("games", "games a pair"),
     Column("population", "population against references", 3), Column("seconds", "seconds to 75 %", 0), "package",
     "commit", Column("about", no_wrap=True),
 )  # fmt: skip
 EXACT = (
     Column("rank", decimals=0), Column("entry", no_wrap=True), Column("policies", decimals=0),
-    Column("exploitability", decimals=6), Column("range", "lowest to highest"), "package", "commit", Column("about", no_wrap=True),
+    Column("exploitability", decimals=6), Column("range", "lowest to highest"), "package", "commit",
+    Column("about", no_wrap=True),
 )  # fmt: skip
 
 

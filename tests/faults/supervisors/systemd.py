@@ -123,7 +123,13 @@ class Case:
     def progress(self, by: int = 6) -> None:
         """Wait until the league has progressed. Raises Lost."""
         enough = self.rows() + by
-        self.machine.wait(lambda: self.rows() >= enough, 600, lambda: self.machine.journal()[-1500:])
+
+        def has_progressed() -> bool:
+            if self.rows() < enough and self.machine.shows("ActiveState") == "inactive":
+                raise Lost("it ended too soon to be disturbed: give more --steps")
+            return self.rows() >= enough
+
+        self.machine.wait(has_progressed, 600, lambda: self.machine.journal()[-1500:])
 
     def rows(self) -> int:
         """Return how many iterations of its players and matches are in the store."""
@@ -293,7 +299,7 @@ def main() -> int:
     """Run the cases; return 1 if anything was lost."""
     parser = make_parser(__doc__)
     parser.add_argument("--cases", nargs="+", choices=CASES, default=[*CASES])
-    parser.add_argument("--steps", type=int, default=1280, help="of training in a league")
+    parser.add_argument("--steps", type=int, default=5120, help="of training in a league")
     parser.add_argument("--base", type=Path, help="files of a Debian, made there if they are not (build/debian)")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # machines are ended then too
