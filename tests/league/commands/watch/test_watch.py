@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -15,7 +16,7 @@ from league.queries.recordings import RecordingQuery, chosen, following
 from storage.errors import StorageError
 from storage.maintenance.thinning import RetentionPolicy
 from storage.recordings.recording import Recording, to_bytes
-from storage.records import RATED_PURPOSES
+from storage.records import COUNT_COLUMNS, RATED_PURPOSES
 from storage.store import Store
 from tests.dashboards.cars import cars
 from tests.league.leagues import C, filled, finish, match
@@ -75,7 +76,7 @@ def test_an_episode_of_training_is_shown_as_what_it_is(learning, capsys, tmp_pat
         known = players_of(opened, opened.store.matches("cup")[0], ("blue@4", "red@4"))
         assert [blue.colour, red.colour] == [who.colour for who in known]
         assert list(opened.matches()["a"]) == ["red@4", "blue@4+"]
-        (row,) = opened.store.totals("cup", RATED_PURPOSES)[C].counts
+        (row,) = np.reshape(opened.store.totals("cup", RATED_PURPOSES)[C].counts, (-1, len(COUNT_COLUMNS)))
         assert sum(row[:3]) == 120  # nothing of training
     assert watch(["--store", str(learning), "--save", str(tmp_path / "it.rrd")]) == 0
     assert capsys.readouterr().out.startswith("Training 2: blue@5 against red@5, blue@5 wins as blue, ")
