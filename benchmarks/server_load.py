@@ -135,6 +135,26 @@ def crowd(server: Server, args: argparse.Namespace, folder: Path) -> dict:
     return found
 
 
+def measured(parts: dict[str, Callable[..., dict]], args: argparse.Namespace, connections: int = 0) -> dict[str, Any]:
+    """Return the results of the parts that are asked for, each on a server of its own.
+
+    `connections` is the number that the server admits; 0: its default.
+    """
+    result: dict[str, Any] = {}
+    for name in args.parts:
+        with tempfile.TemporaryDirectory() as made:
+            folder = Path(made)
+            folder.chmod(0o755)  # PostgreSQL's user needs access
+            Server.connections = connections or Server.connections  # it starts at once
+            server = Server(folder / "server")
+            server.settle(fsync="off")
+            try:
+                result[name] = parts[name](server, args, folder)
+            finally:
+                server.stop()
+    return result
+
+
 def main() -> None:
     """Measure and print the JSON."""
     parts: dict[str, Callable[..., dict]] = {"held": held, "crowd": crowd}
@@ -146,18 +166,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=200)
     parser.add_argument("--crowd-seconds", type=float, default=30.0)
     args = parser.parse_args()
-    result: dict[str, Any] = {}
-    for name in args.parts:
-        with tempfile.TemporaryDirectory() as made:
-            folder = Path(made)
-            folder.chmod(0o755)  # PostgreSQL's user needs access
-            server = Server(folder / "server")
-            server.settle(fsync="off")
-            try:
-                result[name] = parts[name](server, args, folder)
-            finally:
-                server.stop()
-    report({**run_info(args.commit), **result}, args.out)
+    report({**run_info(args.commit), **measured(parts, args)}, args.out)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ and in four with empty ones. Each part has a private server, whose disk is not w
 import argparse
 import asyncio
 import random
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -27,7 +26,7 @@ environment.prepare()
 
 import psycopg
 
-from benchmarks.server_load import FORK, fill, quantiles, window
+from benchmarks.server_load import FORK, fill, measured, quantiles, window
 from benchmarks.store import LEAGUE, load
 from scripts.record import make_parser, report, run_info
 from storage.records import Job
@@ -242,19 +241,7 @@ def main() -> None:
     parser.add_argument("--vacuum-window", type=float, default=20.0, help="seconds")
     parser.add_argument("--vacuum-windows", type=int, default=10)
     args = parser.parse_args()
-    result: dict[str, Any] = {}
-    for name in args.parts:
-        with tempfile.TemporaryDirectory() as made:
-            folder = Path(made)
-            folder.chmod(0o755)  # PostgreSQL's user needs access
-            Server.connections = 3 * args.workers + 50
-            server = Server(folder / "server")
-            server.settle(fsync="off")
-            try:
-                result[name] = parts[name](server, args, folder)
-            finally:
-                server.stop()
-    report({**run_info(args.commit), **result}, args.out)
+    report({**run_info(args.commit), **measured(parts, args, 3 * args.workers + 50)}, args.out)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a manager reads and computes for a change does not grow with all that the league has: counted, not timed."""
+"""Counts of what a manager reads and computes for one change: they must not grow with the size of the league."""
 
 from dataclasses import replace
 

@@ -24,7 +24,7 @@ _OBJECT = re.compile(rb"<Contents>.*?<Key>(.*?)</Key>.*?</Contents>", re.DOTALL)
 
 @dataclass
 class Faults:
-    """What happens to requests. `share` of those that a fault fits get it; 1.0: all."""
+    """Faults of requests. A fault strikes `share` of the requests that it fits."""
 
     share: float = 1.0
     late: float = 0.0  # seconds before the server is asked
