@@ -42,7 +42,7 @@ def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | No
     Raises StorageError for a file without a policy.
     """
     about = policy_file.read(file).about
-    copy = FOLDER / f"{task.name.rpartition('-')[0]}-{name}.safetensors"
+    copy = FOLDER / f"{task.name.rpartition('-')[0]}-{name.replace(':', '-')}.safetensors"
     shutil.copyfile(file, copy)
     settings = experiment.loads(about["settings"])
     entry = {

@@ -101,8 +101,10 @@ def _of_curve(task: Task, request: Request, known: ReferenceSet) -> list[Entrant
     """Return the policies of a training, the earliest first. Raises ConfigError where there is nothing to measure."""
     if not request.curve:
         return []
-    if not task.alike or all(each.stage != MIDDLE for each in known.references):
-        raise ConfigError(("curve",), f"--curve: {task.name} has no reference of a middle stage for both sides yet")
+    if not task.alike:
+        raise ConfigError(("curve",), f"--curve is for tasks of like sides, and those of {task.name} are unlike")
+    if all(each.stage != MIDDLE for each in known.references):
+        raise ConfigError(("curve",), f"--curve: {task.name} has no reference of a middle stage yet")
     return entries.read(task, [file for _, file in sorted(request.curve)], "c")
 
 

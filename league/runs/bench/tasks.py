@@ -80,6 +80,7 @@ NARROW = {
 }  # fmt: skip
 ROVERS = "leatherback:38:2+leatherback:38:2"
 GPU = "early, middle and late learners and exploiters wait for GPU time"
+SEEDS = "learners of other seeds and exploiters wait for GPU time"
 
 
 def _cards(game: str, config_hash: str, roster: str, about: str) -> Task:
@@ -103,7 +104,7 @@ TASKS: Mapping[str, Task] = {
         ),
         Task(
             "t3-soccer-1v1-v1", "soccer-1v1", "b2aedb1edf484053", {"blue": "anymal:66:12", "red": "leatherback:24:2"},
-            "an ANYmal against a Leatherback; the first goal wins", FREE, lacks=GPU,
+            "an ANYmal against a Leatherback; the first goal wins", FREE, lacks=SEEDS,
         ),
         Task(
             "t3-soccer-2v2-v1", "soccer-2v2", "ecc6c177c960d6c5",
@@ -112,16 +113,16 @@ TASKS: Mapping[str, Task] = {
         ),
         Task(
             "t4-galaga-1v1-v1", "galaga-1v1", "4247d12898b7ba3d", {"blue": "minitank:18:2", "red": "crazyflie:20:4"},
-            "a tank with a ray of 0.5 m against a drone that sees it", NARROW, lacks=GPU,
+            "a tank with a ray of 0.5 m against a drone that sees it", NARROW, lacks=SEEDS,
         ),
         Task(
             "t5-pursuit-v1", "pursuit", "3ddc05d8d682d85c",
             {"predators": "predator:17:2+predator:17:2+predator:17:2", "prey": "prey:15:2"},
-            "three predators catch a faster prey", lacks=GPU,
+            "three predators catch a faster prey", lacks=SEEDS,
         ),
         Task(
             "t6-sumo-ants-v1", "sumo-ants", "bbf54a311b8608a1", {"blue": "ant:64:8", "red": "ant:64:8"},
-            "an ant pushes an ant over or out of a ring (Bansal et al. 2018)", lacks=GPU,
+            "an ant pushes an ant over or out of a ring (Bansal et al. 2018)", lacks=SEEDS,
         ),
     )
 }  # fmt: skip

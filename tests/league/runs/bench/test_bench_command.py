@@ -15,6 +15,7 @@ from tests.league.runs.bench.files import network
 from tests.league.snapshots.test_programs import gemm
 
 SUMO, UNLIKE, KUHN = "t1-sumo-rovers-v1", "t2-sumo-unlike-v1", "t0-kuhn-poker-v1"
+SHIPPED = ("blue=anymals-sumo", "red=leatherbacks-sumo")
 SLOW = "import time\nimport numpy as np\n\ndef slow(x):\n    time.sleep(0.2)\n    return np.zeros((len(x), 2))\n"
 
 
@@ -124,7 +125,7 @@ REFUSED = {
     "a side unnamed": ([UNLIKE, "--entry", "anymals-sumo"], "does not name its side"),
     "odd games": ([SUMO, "--entry", "{one}", "--games", "7"], "--games is 7: it must be even"),
     "no curve": ([SUMO, "--entry", "{one}", "--curve", "{slow}"], "line 1: 'import time' is not SECONDS,FILE"),
-    "no middle": ([UNLIKE, "--entry", "blue=anymals-sumo", "red=leatherbacks-sumo", "--curve", "{curve}"], "--curve"),
+    "unlike sides": ([UNLIKE, "--entry", *SHIPPED, "--curve", "{curve}"], "--curve is for tasks of like sides, and"),
     "no such reference": ([SUMO, "--entry", "{one}", "--against", "king"], "There is no reference 'king'"),
     "no task": (["--name", "x"], "league bench needs a TASK"),
     "a program in an exact task": ([KUHN, "--entry", "{kuhn}"], "is a program, whose probabilities cannot be read"),

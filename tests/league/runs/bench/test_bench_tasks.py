@@ -1,17 +1,22 @@
 """The tasks are frozen: what the code builds today has their hashes and sides, and other code is refused."""
 
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from league.config.schema import ConfigError
-from league.runs.bench import references
+from league.runs.bench import evaluation, metrics, references
 from league.runs.bench.games import bench_league
 from league.runs.bench.tasks import TASKS, find
 from league.snapshots.codec import thaw
 from storage.errors import StorageError
 
-MOST = 1_500_000  # bytes that references add to the package
+MOST = 6_500_000  # bytes that references add to the package
+AGES = {"early", "middle", "late"}
+LEARNT = ("t1-sumo-rovers-v1", "t3-soccer-1v1-v1", "t4-galaga-1v1-v1", "t5-pursuit-v1", "t6-sumo-ants-v1")
+PLAYED = LEARNT
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
@@ -43,10 +48,30 @@ def test_all_references_can_sit_on_their_sides(task):
         assert {row[side] for row in known.rows for side in "ab"} <= set(known.names)
 
 
+@pytest.mark.parametrize("name", LEARNT)
+def test_each_side_has_a_learner_of_three_ages(name):
+    task = find(name)
+    known = references.of(task)
+    for team in (None,) if task.alike else task.sides:
+        one = [each for each in known.of(team) if each.name.startswith("happo-1")]
+        steps = {each.stage: each.steps for each in one}
+        assert steps.keys() == AGES
+        assert steps["early"] < steps["middle"] < steps["late"]
+
+
+@pytest.mark.parametrize("name", PLAYED)
+def test_games_of_all_references_come_with_the_package(name):
+    task = find(name)
+    known = references.of(task)
+    assert not list(evaluation.missing(task, known, known.references))
+    assert np.isfinite(metrics.rated(task, [], known).elo).all()
+
+
 def test_reference_files_are_those_of_the_manifest_and_small():
     listed = {each.file for task in TASKS.values() for each in references.of(task).references if each.file}
     there = {file.name: file.stat().st_size for file in references.FOLDER.iterdir()}
     assert {name for name in there if name.endswith(".safetensors")} == listed
+    assert all(re.fullmatch(r"[a-z0-9.-]+", name) for name in there)
     assert sum(there.values()) < MOST
 
 
