@@ -41,7 +41,7 @@ def page(args: list[str]) -> int:
     text = document(bench_page.page(entries)).encode()
     with new_file(path) as file:
         file.write(text)
-    print(f"Wrote {path} ({len(text):,} bytes) with {len(entries)} entries: any browser opens it.")
+    print(f"Wrote {path} ({len(text):,} bytes; entries: {len(entries)}): any browser opens it.")
     return 0
 
 
