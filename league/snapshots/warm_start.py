@@ -279,7 +279,7 @@ def _best(store: Store, league: str, player: str) -> tuple[Snapshot, str] | None
         return None
     settings = LeagueSettings(league, store.league(league).config)
     quota = settings.get("rating", "episodes_per_pair", otherwise=Rating().episodes_per_pair)
-    against = settings.get("budget", "against", otherwise=())
+    against = settings.get("budget", "against", otherwise=[])
     found = handed_on(LeagueState.of(store, league), player, quota, against)
     return None if found is None else (found.snapshot, found.in_words)
 
