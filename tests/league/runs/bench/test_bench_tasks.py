@@ -16,7 +16,7 @@ from storage.errors import StorageError
 MOST = 6_500_000  # bytes that references add to the package
 AGES = {"early", "middle", "late"}
 LEARNT = ("t1-sumo-rovers-v1", "t3-soccer-1v1-v1", "t4-galaga-1v1-v1", "t5-pursuit-v1", "t6-sumo-ants-v1")
-PLAYED = LEARNT
+PLAYED = (*LEARNT, "t2-sumo-unlike-v1")
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
