@@ -137,6 +137,9 @@ ABLATIONS = {
     "critics-rovers": Ablation("sumo-2v2", 2_500_000, CRITICS, QUICK),
     "opponents": Ablation("sumo-2v2", 15_000_000, OPPONENTS, ROVERS | {"training.snapshots-per-doubling": "2"}),
     "opponents-quick": Ablation("sumo-2v2", 2_500_000, OPPONENTS, QUICK),
+    "sharing-quick": Ablation(
+        "sumo-2v2", 900_000, {"own": {}, "shared": {"learner.share-actors": "true"}}, QUICK,
+    ),
 }  # fmt: skip
 
 

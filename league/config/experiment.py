@@ -98,6 +98,8 @@ class Config:
             names = [n for n in ("success", "score", "plateau") if getattr(self.budget, n) is not None]
             why = f"where budget.{names[0]} is set, which is rated while training"
             raise ValueError(f"rating.share: must be above 0 {why}")
+        if self.budget.against and self.budget.score is None and self.budget.plateau is None:
+            raise ValueError("budget.against: is for budget.score or budget.plateau; set one of them")
         chunk = self.learner.sequence or 1
         if training.rollout_length % chunk:
             fit = max(n for n in range(1, chunk) if training.rollout_length % n == 0)

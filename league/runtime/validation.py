@@ -276,17 +276,23 @@ def _validate_learner(config: Config, arena: "Arena", number: int, player: Playe
 def scripts(config: Config, arena: "Arena") -> tuple[str, ...]:
     """Return the scripted opponents of the league's pool: by default all that a whole team of the arena can play."""
     if config.rating.scripts is not None:
-        return config.rating.scripts
+        return tuple(dict.fromkeys([*config.rating.scripts, *config.budget.against]))
     return tuple(dict.fromkeys(name for team in arena.teams for name in arena.playable_scripts(team)))
 
 
 def _validate_scripts(config: Config, arena: "Arena") -> None:
     """Raise ConfigError for a script that the arena lacks, and for a player with the name of a script."""
     known = {name for team in arena.teams for name in arena.playable_scripts(team)}
-    for name in config.rating.scripts or ():
-        if name not in known:
+    named = {("rating", "scripts"): config.rating.scripts or (), ("budget", "against"): config.budget.against}
+    for key, names in named.items():
+        if unknown := next((name for name in names if name not in known), None):
             listed = ", ".join(sorted(known)) or "none"
-            raise ConfigError(("rating", "scripts"), f"rating.scripts: {arena.name} has no script {name!r} ({listed})")
+            raise ConfigError(key, f"{'.'.join(key)}: {arena.name} has no script {unknown!r} ({listed})")
+    for team in arena.teams if config.budget.against else ():
+        rivals = [each for each in arena.teams if each.name != team.name]
+        if not any(name in arena.playable_scripts(each) for each in rivals for name in config.budget.against):
+            message = f"no other team than {team.name} can play one of these scripts; name one that its opponents can"
+            raise refuse(("budget", "against"), list(config.budget.against), message)
     for player in roster(config, [team.name for team in arena.teams]):
         if player.name in known:
             raise ConfigError(("players",), f"players: {player.name} is the name of a scripted opponent; use another")

@@ -82,7 +82,8 @@ def until(config: Config) -> str:
     if budget.success is not None:
         rules.append(f"when {budget.success:.0%} succeed, by the lower end of the interval")
     if budget.score is not None:
-        rules.append(f"when each scores {budget.score:.0%} against initial, by the lower end of the interval")
+        opponents = ", ".join(budget.against) or "initial"
+        rules.append(f"when each scores {budget.score:.0%} against {opponents}, by the lower end of the interval")
     if budget.plateau is not None:
         rules.append(f"when the last {budget.plateau} snapshots are no better than one before them")
     if budget.reward is not None:

@@ -239,8 +239,8 @@ def _wanted(config: Config, state: LeagueState, over: bool, room: int) -> list[L
 def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
     """Return the snapshots of an arena of one team that have not played their quota, newest first.
 
-    If training waits for a success rate, no batch consists of older snapshots only, because the newest snapshot would
-    have to wait for it.
+    If training waits for a success rate, only the newest snapshots play: a batch lasts as long as its longest episode,
+    and the episodes of older ones, which fail more often, are long.
     """
     quota = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
     newest = {s.name for s in state.newest_snapshots}
@@ -251,8 +251,8 @@ def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
         for s in order
         if state.ladder.trial_episodes(s.name) < (quota if s.name in newest else config.rating.episodes_per_pair)
     ]
-    if config.budget.by_rating and not over and newest.isdisjoint(found):
-        return []
+    if config.budget.by_rating and not over:
+        found = [name for name in found if name in newest]
     return [(name, None) for name in found]
 
 

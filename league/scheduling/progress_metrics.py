@@ -40,6 +40,17 @@ def initial_opponents(snapshot: Snapshot, snapshots: Sequence[Snapshot], players
     return [s for s in snapshots if s.initial and s.player in measured and s.name != snapshot.name]
 
 
+def budget_opponents(against: Sequence[str], state: "LeagueState", snapshot: Snapshot) -> list[Snapshot]:
+    """Return the opponents of a snapshot for the score that ends training.
+
+    These are the scripts `against` (the setting `budget.against`) that it can meet; without that setting its initial
+    opponents.
+    """
+    if not against:
+        return initial_opponents(snapshot, state.initials, state.players)
+    return [s for s in state.snapshots if s.script in against and can_meet(snapshot, s, state.players)]
+
+
 def score_against_initial(
     ladder: Ladder, snapshot: Snapshot, snapshots: Sequence[Snapshot], players: Sequence[Player]
 ) -> Score | None:
@@ -90,9 +101,9 @@ def parent(snapshot: Snapshot, history: Sequence[Snapshot], by_name: Mapping[str
 def required_opponents(config: "Config", state: "LeagueState", over: bool) -> dict[str, RequiredOpponents]:
     """Return the opponents that each player's newest snapshot meets first, see matchmaking.match_design.
 
-    These are the newest snapshots of all other players; then its initial opponents, its own snapshot 3 back, its
-    parent, its own 10 back; then scripts and imports, and after training (`over`) the milestones too. Only snapshots
-    that it can meet and that still have their policy.
+    These are the newest snapshots of all other players; then the opponents that decide when training ends, its initial
+    ones, its own snapshot 3 back, its parent, its own 10 back; then scripts and imports, and after training (`over`)
+    the milestones too. Only snapshots that it can meet and that still have their policy.
     """
     newest = [s for s in state.newest_snapshots if s.thinned is None]
     of, names, found = {s.name: s for s in newest}, [s.name for s in newest], {}
@@ -100,7 +111,10 @@ def required_opponents(config: "Config", state: "LeagueState", over: bool) -> di
     for s in newest:
         history = [each for each in state.history(str(s.player)) if each.thinned is None]
         past = [history[-1 - back] for back in HISTORY_OFFSETS if len(history) > back]
-        first = initial_opponents(s, state.initials, state.players)
+        first = [
+            *budget_opponents(config.budget.against, state, s),
+            *initial_opponents(s, state.initials, state.players),
+        ]
         measures = [*first, *past[:1], *parent(s, history, state.by_name), *past[1:]]
         anchors = reference_opponents(config, state, s) if over else never_learn
         rivals = [of[name] for name in others_after(names, s.name)]

@@ -5,8 +5,8 @@ which groups need a turn, `league/scheduling/match_scheduler.py` whether any pla
 
 A group's training ends when its budget is spent or its players have learnt enough. A snapshot counts for that after
 `rating.episodes_per_pair` episodes that measure progress: alone in an arena of one team, else against its initial
-opponents. The best snapshot has the highest lower end of the 95 % interval, since the highest of many scores is often
-due to luck.
+opponents or the scripts of `budget.against`. The best snapshot has the highest lower end of the 95 % interval, since
+the highest of many scores is often due to luck.
 """
 
 import math
@@ -18,7 +18,7 @@ import numpy as np
 
 from league.config.experiment import Config
 from league.config.sections import Budget, Rating
-from league.scheduling.progress_metrics import initial_opponents
+from league.scheduling.progress_metrics import budget_opponents
 from league.state.jobs import TrainingTurn, decode
 from league.state.league_state import Group, LeagueState
 from matchmaking.ratings.scores import Score
@@ -138,43 +138,49 @@ def learning_counts(state: LeagueState, players: Sequence[Player]) -> dict[str, 
 
 
 class Rated(NamedTuple):
-    """A snapshot, and its success rate alone or its score against its initial opponents."""
+    """A snapshot, and its success rate alone or its score against the opponents that measure progress."""
 
     snapshot: Snapshot
     score: Score
+    opponents: Sequence[Snapshot] = ()  # none in an arena of one team
 
-    def describe(self, state: LeagueState) -> str:
+    def __str__(self) -> str:
         """Return the rating as a sentence, e.g. `blue@64 scores 83 % (80-86 %) against its initial snapshot`."""
-        return f"{self.snapshot.name} {self.how(state)}"
+        return f"{self.snapshot.name} {self.in_words}"
 
-    def how(self, state: LeagueState) -> str:
-        """Return the score and its interval in words."""
+    @property
+    def in_words(self) -> str:
+        """The score and its interval in words."""
         share = f"{100 * self.score.score:.0f} % ({100 * self.score.low:.0f}-{100 * self.score.high:.0f} %)"
-        if state.one_team:
+        if not self.opponents:
             return f"succeeds in {share}"
-        others = initial_opponents(self.snapshot, state.initials, state.players)
-        others_text = (
-            "its initial snapshot" if all(o.player == self.snapshot.player for o in others) else "initial opponents"
-        )
-        return f"scores {share} against {others_text}"
+        if all(o.player == self.snapshot.player for o in self.opponents):
+            return f"scores {share} against its initial snapshot"
+        if any(o.player for o in self.opponents):
+            return f"scores {share} against initial opponents"
+        return f"scores {share} against {', '.join(o.name for o in self.opponents)}"
 
 
-def rated(state: LeagueState, player: str, quota: int) -> list[Rated]:
-    """Return a player's snapshots that have played their quota, with their scores, oldest first."""
+def rated(state: LeagueState, player: str, quota: int, against: Sequence[str] = ()) -> list[Rated]:
+    """Return a player's snapshots that have played their quota, with their scores, oldest first.
+
+    `against` is the setting `budget.against`.
+    """
     ladder, found = state.ladder, []
     for snapshot in state.history(player):
         if snapshot.name not in ladder.payoff.positions:
             continue
+        opponents: list[Snapshot] = []
         if state.one_team:
             episodes, score = ladder.trial_episodes(snapshot.name), ladder.success(snapshot.name)
         else:
-            others = [o.name for o in initial_opponents(snapshot, state.initials, state.players)]
-            payoff = ladder.payoff
+            opponents, payoff = budget_opponents(against, state, snapshot), ladder.payoff
+            others = [o.name for o in opponents]
             at = np.array([payoff.index(name) for name in others if name in payoff.positions], int)
             episodes = int(payoff.episodes_between(np.array(payoff.index(snapshot.name)), at).sum())
             score = ladder.score(snapshot.name, *others) if len(at) else None
         if score is not None and episodes >= quota and score.games:
-            found.append(Rated(snapshot, score))
+            found.append(Rated(snapshot, score, opponents))
     return found
 
 
@@ -185,16 +191,16 @@ def best(found: Sequence[Rated]) -> Rated | None:
 
 def why(budget: Budget, quota: int, state: LeagueState, player: Player) -> str | None:
     """Return the evidence that a player has learnt what its budget requires, as a sentence; None without evidence."""
-    found = rated(state, player.name, quota)
+    found = rated(state, player.name, quota, budget.against)
     top = best(found)
     if top is None:
         return None
     asked = budget.success if state.one_team else budget.score
     if asked is not None and top.score.low > asked:
-        return top.describe(state)
+        return str(top)
     later = sum(each.snapshot.iteration > top.snapshot.iteration for each in found)
     if budget.plateau is not None and top.score.low > HALF and later >= budget.plateau:
-        return f"{top.describe(state)}, and none of the {later} snapshots after it is better"
+        return f"{top}, and none of the {later} snapshots after it is better"
     return None
 
 
@@ -210,14 +216,16 @@ def learnt_enough(config: Config, state: LeagueState, players: Sequence[Player])
     return by_rating or by_reward
 
 
-def handed_on(state: LeagueState, player: str, quota: int = Rating().episodes_per_pair) -> Rated | None:
+def handed_on(
+    state: LeagueState, player: str, quota: int = Rating().episodes_per_pair, against: Sequence[str] = ()
+) -> Rated | None:
     """Return the snapshot that another league starts from, if that is not the player's newest state.
 
     Return None if the newest rated snapshot is the best, if none of the LAST newest snapshots is rated, and if no rated
     snapshot still has its policy.
     """
     newest = {s.name for s in state.history(player)[-LAST:]}
-    found = rated(state, player, quota)
+    found = rated(state, player, quota, against)
     if not found or found[-1].snapshot.name not in newest:
         return None
     top = best([each for each in found if each.snapshot.thinned is None])

@@ -279,9 +279,9 @@ def _best(store: Store, league: str, player: str) -> tuple[Snapshot, str] | None
         return None
     settings = LeagueSettings(league, store.league(league).config)
     quota = settings.get("rating", "episodes_per_pair", otherwise=Rating().episodes_per_pair)
-    state = LeagueState.of(store, league)
-    found = handed_on(state, player, quota)
-    return None if found is None else (found.snapshot, found.how(state))
+    against = settings.get("budget", "against", otherwise=[])
+    found = handed_on(LeagueState.of(store, league), player, quota, against)
+    return None if found is None else (found.snapshot, found.in_words)
 
 
 def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.ndarray]) -> None:

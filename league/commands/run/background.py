@@ -158,8 +158,9 @@ def _run_stage(store: Store, where: str, config: Config, number: int, on_lead: C
 
 def _handed_on(config: Config, league_state: LeagueState) -> str:
     """Return a sentence that names the snapshots that players pass on instead of their newest states, if any."""
-    found = [handed_on(league_state, player.name, config.rating.episodes_per_pair) for player in league_state.players]
-    older = [each.describe(league_state) for each in found if each is not None]
+    quota, against = config.rating.episodes_per_pair, config.budget.against
+    found = [handed_on(league_state, player.name, quota, against) for player in league_state.players]
+    older = [str(each) for each in found if each is not None]
     return f" Handed on instead of the newest: {'; '.join(older)}." if older else ""
 
 

@@ -122,8 +122,8 @@ def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -
 
 SUMO = (
     _stage("walk", "anymal-walk", success=0.9, steps=200_000_000),
-    _stage("push-anymal", "block-push-anymal", score=0.8, plateau=6, steps=100_000_000),
-    _stage("push-leatherback", "block-push-leatherback", score=0.8, plateau=6, steps=50_000_000),
+    _stage("push-anymal", "block-push-anymal", score=0.8, against=["idle"], plateau=6, steps=30_000_000),
+    _stage("push-leatherback", "block-push-leatherback", score=0.8, against=["idle"], plateau=6, steps=50_000_000),
 )
 FREE = {"drive_scale": 40.0, "steer_scale": 0.5}
 """Rules for a Leatherback in soccer: full throttle is at an action of 1.25 and not of 5, which exploration never

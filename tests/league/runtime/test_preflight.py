@@ -33,6 +33,8 @@ def duel(**changes: object) -> configuration.Config:
         ("worlds = 1048576\nrollout_length = 10000", "training.worlds", "GB"),
         ('opponents.kind = "alpharank"\n[arena]\nname = "matching-pennies"', "training.opponents.kind", "use nash"),
         ('[rating]\nscripts = ["idle", "clown"]', "rating.scripts", "no script 'clown' (centre-holder, idle,"),
+        ('[budget]\nscore = 0.8\nagainst = ["clown"]', "budget.against", "no script 'clown' (centre-holder, idle,"),
+        ('[arena]\nname = "pursuit"\n[budget]\nscore = 0.8\nagainst = ["runner"]', "budget.against", "than prey can"),
         ('[[players]]\nteam = "green"', "players.0.team", "the arena's teams are blue, red"),
         ('[[players]]\nteam = "blue"', "players", "nobody plays team red"),
         ('[[players]]\nteam = "blue"\nname = "idle"\n[[players]]\nteam = "red"', "players", "name of a script"),

@@ -72,7 +72,7 @@ def test_the_best_is_the_surest_and_not_the_luckiest():
     found = best(rated(state, "blue", quota=10))
     assert found is not None
     assert found.snapshot.name == "blue@2"
-    assert found.describe(state) == "blue@2 scores 70 % (65-74 %) against its initial snapshot"
+    assert str(found) == "blue@2 scores 70 % (65-74 %) against its initial snapshot"
 
 
 BUDGET = Budget(score=0.8, plateau=3, steps=10**9)
@@ -96,6 +96,30 @@ def test_a_player_has_learnt_when_it_surely_scores_or_gets_no_better(won, told):
     found = why(BUDGET, 128, state, blue)
     assert found is None if told is None else found is not None and found.startswith(told)
     assert why(Budget(steps=10**9), 128, state, blue) is None
+
+
+def against_script(won: dict[int, float]) -> list[Match]:
+    """Snapshots of blue that have won this share of games against the script of the pool."""
+    return [replace(match, b="pusher") for match in played(won)]
+
+
+def test_a_score_against_scripts_ends_training_where_the_budget_names_them():
+    (blue, _), by_script = PLAYERS, Budget(score=0.8, against=("pusher",))
+    weak, strong = after(played({2: 0.9}), against_script({2: 0.5})), after(played({2: 0.5}), against_script({2: 0.9}))
+    assert why(BUDGET, 128, weak, blue) is not None
+    assert why(by_script, 128, weak, blue) is None
+    assert why(BUDGET, 128, strong, blue) is None
+    assert why(by_script, 128, strong, blue) == "blue@2 scores 90 % (87-93 %) against pusher"
+    assert "when each scores 80% against pusher" in curriculum.until(replace(training(), budget=by_script))
+
+
+def test_the_snapshot_handed_on_is_the_best_against_those_that_the_budget_names():
+    state = after(played({2: 0.6, 16: 0.7, 32: 0.9}), against_script({2: 0.95, 16: 0.7, 32: 0.8}))
+    assert handed_on(state, "blue") is None
+    assert handed_on(state, "blue", against=("pusher",)).snapshot.name == "blue@2"
+    config = replace(training(), budget=Budget(score=0.8, against=("pusher",)))
+    told = " Handed on instead of the newest: blue@2 scores 95 % (92-97 %) against pusher."
+    assert _handed_on(config, state) == told
 
 
 def test_training_goes_on_until_each_player_has_learnt():
@@ -163,10 +187,14 @@ def test_stages_of_pushing_end_when_they_have_been_learnt():
     }
     for name in ("push-anymal", "push-leatherback"):
         assert (stages[name].budget.score, stages[name].budget.plateau) == (0.8, 6)
-        assert "each scores 80% against initial" in curriculum.until(stages[name])
+        assert "each scores 80% against idle" in curriculum.until(stages[name])
         assert "the last 6 snapshots are no better" in curriculum.until(stages[name])
 
 
 def test_what_ends_by_ratings_needs_matches():
     with pytest.raises(ConfigError, match=r"rating.share = 0.0: must be above 0 where budget.plateau is set"):
         configuration.loads("[rating]\nshare = 0.0\n[budget]\nplateau = 3\n")
+    with pytest.raises(
+        ConfigError, match=r"budget.against = .*: is for budget.score or budget.plateau; set one of them"
+    ):
+        configuration.loads('[budget]\nsteps = 8\nagainst = ["idle"]\n')
