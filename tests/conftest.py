@@ -15,12 +15,9 @@ os.environ.setdefault(
     "NPROC", "4"
 )  # XLA's threads: with two of them MJX in JAX can hang, see arenas/physics/registry.py
 
-# JAX keeps compiled programs for later tests and for the slow suite. JAX writes its files without a lock, so each
-# process of pytest-xdist has a folder of its own.
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR",
-    str(Path(__file__).parents[1] / ".pytest_cache" / "compiled" / os.environ.get("PYTEST_XDIST_WORKER", "main")),
-)
+# JAX keeps compiled programs for later tests, for the other processes of pytest-xdist, and for the slow suite. It
+# writes its files without a lock: what is read half written is compiled instead, with a warning (see pyproject.toml).
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 from dashboards.errors import ViewerError
