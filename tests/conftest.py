@@ -24,6 +24,8 @@ from dashboards.errors import ViewerError
 from dashboards.viewer.headless import NO_DRIVER, headless_viewer
 from tests.faults import servers
 
+gc.disable()  # until all tests are collected: imports make many objects and hardly any garbage
+
 SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
 
 
@@ -77,9 +79,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what has been imported out of garbage collections: each would look through it for half a second."""
+    """Leave what has been imported out of garbage collections, and collect less often than at every 700 objects.
+
+    A collection would look through all imported modules for half a second. Tracing programs makes thousands of objects.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000)
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
