@@ -87,6 +87,10 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(50_000)
     gc.enable()
+    if "warp" in sys.modules and os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS"):
+        import warp
+
+        warp.config.optimization_level = 0  # as XLA: a third less processor time for a test of Warp on a CPU
 
 
 @pytest.hookimpl(optionalhook=True)
