@@ -74,7 +74,7 @@ def sampled(url: str) -> Iterator[list[int]]:
 
     def sample() -> None:
         with psycopg.connect(url, autocommit=True) as db:
-            while not ended.wait(0.1):
+            while not found or not ended.wait(0.1):
                 waiting = db.execute("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'").fetchone()
                 found.append(waiting[0] if waiting else 0)
 
@@ -117,7 +117,8 @@ def _polled(server: Server, args: argparse.Namespace, folder: Path, name: str, n
     claims, waits = ([ms for one in took for ms in one[i]] for i in (0, 1))
     return {
         "jobs": len(waits), "attempts_per_second": round(sum(one[2] for one in took) / args.seconds, 1),
-        "claim_ms": quantiles(claims), "queued_ms": quantiles([1000 * wait for wait in waits]),
+        "claim_ms": quantiles(claims),
+        "queued_ms": quantiles([1000 * wait for wait in waits]) if waits else "no job was done",
         "waiting_for_a_lock": {"mean": round(sum(locks) / len(locks), 2), "max": max(locks)}, "load_average": load(),
     }  # fmt: skip
 

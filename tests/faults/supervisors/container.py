@@ -20,7 +20,7 @@ from typing import Any
 from tests.faults.hunted import Lost
 
 PROGRAMS = ("systemd-nspawn", "debootstrap", "unshare", "nsenter")
-PACKAGES = "systemd,systemd-sysv,dbus,procps"
+PACKAGES = "systemd,systemd-sysv,dbus,procps,python3"  # python3: for the libraries that PYTHON is linked to
 PYTHON, MODULES = Path("/opt/python"), Path("/opt/modules")
 OWN = ("/", "/tmp", "/run", "/dev", "/dev/shm", "/var/tmp", "/home", "/root")
 

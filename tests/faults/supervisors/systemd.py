@@ -39,6 +39,11 @@ STATE = "/var/lib/private/robot-league/store"  # of a user that systemd makes
 SOCKETS, BLOBS = Path("/srv/postgresql"), Path("/srv/robot-league")
 USER = 950  # its number on both machines, which share a folder
 PAUSE = 15  # seconds before the units start a process again
+COUNT = """
+import sqlite3, sys
+rows = "SELECT (SELECT count(*) FROM curves) + (SELECT count(*) FROM matches)"
+print(*sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True).execute(rows).fetchone())
+"""
 
 
 class Kept(Hunted):
@@ -126,15 +131,22 @@ class Case:
 
         def has_progressed() -> bool:
             if self.rows() < enough and self.machine.shows("ActiveState") == "inactive":
-                raise Lost("it ended too soon to be disturbed: give more --steps")
+                raise Lost(f"it ended too soon to be disturbed: give more --steps\n{self.machine.journal()[:3000]}")
             return self.rows() >= enough
 
         self.machine.wait(has_progressed, 600, lambda: self.machine.journal()[-1500:])
 
     def rows(self) -> int:
-        """Return how many iterations of its players and matches are in the store."""
-        found = self.hunted().look(lambda store: [*store.curves(LEAGUE), *store.matches(LEAGUE)])
-        return len(found or ())
+        """Return how many iterations of its players and matches are in the store. Raises Lost.
+
+        A process there counts them: SQLite follows links itself, and /proc/PID/root leads it back to this machine.
+        """
+        found = self.machine.call("/opt/league/bin/python", "-I", "-S", "-c", COUNT, f"{STATE}/league.db")
+        if "unable to open" in found or "no such table" in found:
+            return 0  # it is not made yet
+        if not found.strip().isdigit():
+            raise Lost(f"its rows cannot be counted: {found[-500:]}")
+        return int(found)
 
     def done(self) -> None:
         """Wait until it has ended with success, and shut the machine down. Raises Lost."""
@@ -172,6 +184,11 @@ class Served(Case):
         """Return the league, as it is observed from this machine."""
         return Hunted(self.folder, self.url, self.steps)
 
+    def rows(self) -> int:
+        """Return how many iterations of its players and matches are in the store, which this machine reaches too."""
+        found = self.hunted().look(lambda store: [*store.curves(LEAGUE), *store.matches(LEAGUE)])
+        return len(found or ())
+
     def machines(self) -> int:
         """Return on how many machines its workers are."""
         return len(self.hunted().look(lambda store: {each.host for each in store.workers(LEAGUE, 60)}) or ())
@@ -202,7 +219,7 @@ def killed(case: Case) -> dict[str, int]:
     manager = case.machine.shows("MainPID")
 
     def workers() -> list[str]:
-        return case.machine.call("pgrep", "--parent", manager, "--full", "spawn_main").split()
+        return case.machine.call("pgrep", "--parent", manager, "--full", "preflight|spawn_main").split()
 
     before, (first, *_) = len(workers()), workers()
     case.machine.call("kill", "-KILL", first)
@@ -251,8 +268,8 @@ def refused(case: Case) -> dict[str, int]:
     state, code, times = (case.machine.shows(name) for name in ("ActiveState", "ExecMainStatus", "NRestarts"))
     if (state, code, times) != ("failed", str(exit_codes.BAD_INPUT), "0"):
         raise Lost(f"refused, it is {state} with {code}, started again {times} times")
-    if "engine" not in case.machine.journal().strip().rpartition("\n")[2] + case.machine.journal():
-        raise Lost(f"nothing says why: {case.machine.journal()[-500:]}")
+    if "engine" not in (said := case.machine.journal().rpartition("Starting league.service")[2]):
+        raise Lost(f"nothing says why: {said}")
     case.machine.put("/etc/robot-league/league.toml", case.settings)
     case.machine.call("systemctl", "start", "league")
     return {"refused": 1}
