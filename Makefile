@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Images of containers often set this; each of hundreds of processes of the tests would then compile our files anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: league setup check style types test quick test-slow test-gpu site clean
+.PHONY: league setup check style types test quick test-slow slow optimised test-gpu site clean
 
 league: $(if $(wildcard $(STAMP)),$(STAMP),$(USABLE))  ## Set up what running needs, run a small league, film its last match.
 	$(BIN)/league run --preset quickstart --live
@@ -34,16 +34,24 @@ QUICKLY = $(if $(shell nvidia-smi -L 2>/dev/null),,$(UNOPTIMISED))
 test: style  ## What must pass before a change is shared. Types, a minute of one core, are checked beside the first tests.
 	$(MAKE) --no-print-directory --jobs 2 types quick
 
+# Tests wait for processes and servers an eighth of their time, so three at once keep two cores busy.
 quick: $(STAMP)
-	$(QUICKLY) $(BIN)/pytest -rs -m "not slow and not gpu" -n 2 --dist loadfile --no-loadscope-reorder
+	$(QUICKLY) $(BIN)/pytest -rs -m "not slow and not gpu" -n 3 --dist loadfile --no-loadscope-reorder
 
-# Leagues wait for each other's processes, so three of these tests keep two cores busy. Only files with such tests are
-# collected, which saves each process ten seconds; tests/conftest.py refuses a mark that does not stand in a test's file.
+# Only files with such tests are collected, which saves each process seconds; tests/conftest.py refuses a mark that does
+# not stand in a test's file.
 WITH = $$(grep -rl --include='test_*.py' 'mark\.$(1)' tests | sort)
 
 test-slow: $(STAMP)  ## What takes longer: arenas on the engines that take minutes to compile, and whole leagues.
+	$(MAKE) --no-print-directory --jobs 2 slow optimised
+
+# Leagues wait for each other's processes: three of these tests keep two cores busy, and the few tests that need other
+# flags run beside the first of them.
+slow: $(STAMP)
 	$(QUICKLY) $(BIN)/pytest -rs -m "slow and not optimised and not gpu" -n 3 --dist worksteal $(call WITH,slow)
-	$(BIN)/pytest -rs -m "slow and optimised and not gpu" -n 2 --dist worksteal $(call WITH,optimised)
+
+optimised: $(STAMP)
+	$(BIN)/pytest -rs -m "slow and optimised and not gpu" $(call WITH,optimised)
 
 test-gpu: $(STAMP)  ## On a machine with an NVIDIA GPU: all arenas and variants on the engines and kernels of GPUs.
 	$(BIN)/pytest -rs -v -m gpu

@@ -15,17 +15,16 @@ os.environ.setdefault(
     "NPROC", "4"
 )  # XLA's threads: with two of them MJX in JAX can hang, see arenas/physics/registry.py
 
-# JAX keeps compiled programs for later tests and for the slow suite. JAX writes its files without a lock, so each
-# process of pytest-xdist has a folder of its own.
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR",
-    str(Path(__file__).parents[1] / ".pytest_cache" / "compiled" / os.environ.get("PYTEST_XDIST_WORKER", "main")),
-)
+# JAX keeps compiled programs for later tests, for the other processes of pytest-xdist, and for the slow suite. It
+# writes its files without a lock: what is read half written is compiled instead, with a warning (see pyproject.toml).
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 from dashboards.errors import ViewerError
 from dashboards.viewer.headless import NO_DRIVER, headless_viewer
 from tests.faults import servers
+
+gc.disable()  # until all tests are collected: imports make many objects and hardly any garbage
 
 SERVER = os.environ.get("LEAGUE_TEST_DB")  # e.g. postgresql://user@host/database: runs every test there as well
 
@@ -80,9 +79,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what has been imported out of garbage collections: each would look through it for half a second."""
+    """Leave what has been imported out of garbage collections, and collect less often than at every 700 objects.
+
+    A collection would look through all imported modules for half a second. Tracing programs makes thousands of objects.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000)
+    gc.enable()
+    if "warp" in sys.modules and os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS"):
+        import warp
+
+        warp.config.optimization_level = 0  # as XLA: a third less processor time for a test of Warp on a CPU
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -192,7 +192,8 @@ def dropped(arena, decisions=10):
     state, bumps = reset(KEYS), arena.terrain.fields[0]
     highest = 1.0 + 0.25 * float(bumps.heights[bumps.heights.shape[0] // 2].argmax())
     over = state.physics.qpos.at[:, 0].set(highest).at[:, 1].add(0.3)
-    state = state._replace(physics=jax.vmap(arena.engine.make)(over, state.physics.qvel, state.physics.model))
+    make = jax.jit(jax.vmap(arena.engine.make))
+    state = state._replace(physics=make(over, state.physics.qvel, state.physics.model))
     found = []
     for _ in range(decisions):
         state = step(state, {"blue/0": jnp.zeros((3, 3)), "nature/0": CHOICES})
@@ -214,7 +215,7 @@ def test_the_first_decision_puts_one_height_field_in_place(hills):
 
 
 def test_a_chosen_field_carries_the_walker(hills):
-    read = jax.vmap(lambda physics: hills._heights.read(physics.qpos).feet[0])  # above the flat ground
+    read = jax.jit(jax.vmap(lambda physics: hills._heights.read(physics.qpos).feet[0]))  # above the flat ground
     flat, terrace, bump = np.min([read(state.physics) for state in dropped(hills, 30)], axis=0)
     assert flat < 0.01
     assert terrace > 0.1

@@ -48,8 +48,8 @@ def test_every_history_is_the_trees(name):
     assert len(histories) == {"kuhn-poker": 30, "leduc-poker": 5520, "dark-hex-3": 3000}[name]
     number, width = len(histories), arena.draw(jax.random.key(0)).shape[0]
     dealt = np.array([(*chance, 0, 0, 0)[:width] for chance, *_ in histories], np.int32).reshape(number, width)
-    state = jax.vmap(arena.reset)(jax.random.split(jax.random.key(2), number))
-    state = state._replace(game=state.game._replace(hand=jax.vmap(arena.start)(jnp.asarray(dealt))))
+    state = jax.jit(jax.vmap(arena.reset))(jax.random.split(jax.random.key(2), number))
+    state = state._replace(game=state.game._replace(hand=jax.jit(jax.vmap(arena.start))(jnp.asarray(dealt))))
     swapped = np.asarray(state.game.second_first)
     assert 0.1 < swapped.mean() < 0.9
     step, alive, legal = (jax.jit(jax.vmap(f)) for f in (arena.step, arena.alive, lambda game: arena.legal(game.hand)))
@@ -87,12 +87,12 @@ def test_illegal_choices_are_never_taken(name):
 def test_a_lottery_has_the_mean_of_the_chips():
     settings = arenas.settings("kuhn-poker")
     arena = replace(settings, rules=TurnRules("kuhn-poker", score="chips")).build()
-    state = jax.vmap(arena.reset)(jax.random.split(jax.random.key(5), 4000))
+    state = jax.jit(jax.vmap(arena.reset))(jax.random.split(jax.random.key(5), 4000))
     hand = arena.start(jnp.array([2, 0]))  # the highest card against the lowest, and both bet
     hand = jax.tree.map(lambda x: jnp.broadcast_to(x, (4000, *x.shape)), arena.play(hand, jnp.int32(1)))
-    wins = {}
+    judge, wins = jax.jit(jax.vmap(arena.judge)), {}
     for choice, gain in ((1, 2), (0, 1)):
-        _, verdict = jax.vmap(arena.judge)(
+        _, verdict = judge(
             state.physics, state.physics,
             state.game._replace(hand=hand, choice=jnp.full(4000, choice), second_first=jnp.zeros(4000, bool)),
         )  # fmt: skip

@@ -119,9 +119,9 @@ def test_an_end_within_a_decision_is_final(cut):
             return game, news._replace(truncated=news.terminated, terminated=jnp.zeros((), bool)) if cut else news
 
     arena = Passing(RaceSettings(), engine="c")
-    state = jax.vmap(arena.reset)(jax.random.key(0)[None])
+    state = jax.jit(jax.vmap(arena.reset))(jax.random.key(0)[None])
     qpos = state.physics.qpos.at[0, :2].set(state.game[0] - jnp.array([0.45, 0.0]))
-    physics = jax.vmap(arena.engine.place)(
+    physics = jax.jit(jax.vmap(arena.engine.place))(
         state.physics, qpos, jnp.zeros((1, 12)).at[0, 0].set(10.0), jnp.ones(1, bool), state.physics.model
     )
     idle = {name: jnp.zeros((1, 2)) for name in ROVERS}

@@ -139,15 +139,15 @@ def test_in_free_fall_it_falls_freely():
 
 def test_the_law_acts_before_every_substep_on_its_own_joints(yard):
     """The last torque fits the state one substep before, and not the one in which the action was chosen."""
-    state = yard.reset(jax.random.key(0))
+    state = jax.jit(yard.reset)(jax.random.key(0))
     action = jnp.zeros(12).at[11].set(1.0)
     targets, at = yard.robot.command(action), yard.at
 
     def law(qpos, qvel, command):
         return jnp.zeros(12).at[at.ctrl].set(torques(qpos[at.joint_qpos], qvel[at.joint_qvel], targets))
 
-    before = yard.engine.step(state.physics, jnp.zeros(12), 3, law)
-    last = yard.step(state, {"solo/0": action}).physics.ctrl[at.ctrl]
+    before = jax.jit(lambda physics: yard.engine.step(physics, jnp.zeros(12), 3, law))(state.physics)
+    last = jax.jit(yard.step)(state, {"solo/0": action}).physics.ctrl[at.ctrl]
     np.testing.assert_allclose(
         last, torques(before.qpos[at.joint_qpos], before.qvel[at.joint_qvel], targets), atol=1e-4
     )
@@ -171,7 +171,7 @@ def test_under_zero_action_it_keeps_standing_for_ten_seconds(yard, seed):
 
 def test_it_feels_harl_as_45_numbers(yard):
     """Rolled on its left side's height: turned by 90° about x; moving up in the world is then moving left."""
-    state = yard.reset(jax.random.key(0))
+    state = jax.jit(yard.reset)(jax.random.key(0))
     half = jnp.sqrt(0.5)
     qpos = state.physics.qpos.at[yard.at.qpos + 3 : yard.at.qpos + 7].set(jnp.array([half, half, 0.0, 0.0]))
     qpos = qpos.at[yard.at.joint_qpos[5]].set(0.0)  # LH_HFE, 0.4 above its default

@@ -52,7 +52,7 @@ def test_robots_start_in_their_rest_pose_and_feel_their_own_joints(mixed):
     np.testing.assert_allclose(state.physics.qpos[at.qpos + 2], 0.2, atol=1e-6)
     moved = state.physics.qpos.at[at.joint_qpos].set(jnp.array([0.5, -0.1]))
     actions = {a.name: jnp.full(2, 0.7) for a in mixed.agents}
-    seen = mixed.observe(state.physics._replace(qpos=moved), state.game, actions)["red/1"]
+    seen = jax.jit(mixed.observe)(state.physics._replace(qpos=moved), state.game, actions)["red/1"]
     np.testing.assert_allclose(seen[0:6], [0.2, 0.2, 0.0, 0.0, 0.7, 0.7], atol=1e-6)
 
 

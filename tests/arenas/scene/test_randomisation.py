@@ -26,7 +26,7 @@ def test_off_by_default_and_then_nothing_is_drawn():
         assert settings.randomisation == Randomisation()
         arena = settings.build(engine="c")
         assert arena.randomise(jax.random.key(0)) == {}
-        assert arena.reset(jax.random.key(0)).physics.model == {}
+        assert jax.jit(arena.reset)(jax.random.key(0)).physics.model == {}
 
 
 def test_each_robot_and_episode_has_its_own_numbers_within_the_ranges():

@@ -53,7 +53,7 @@ def test_a_touch_is_remembered(sumo, apart, touch):
 
 def test_with_auto_contact_a_fall_alone_loses_and_no_place_is_read():
     arena = built("sumo-ants", auto_contact=True)
-    first = jax.vmap(arena.reset)(jax.random.split(jax.random.key(0), 4))
+    first = jax.jit(jax.vmap(arena.reset))(jax.random.split(jax.random.key(0), 4))
     assert np.asarray(first.game.own.touched).all()
     assert first.physics.xpos is None
     verdict = judged(arena, ((-2.0, 0, DOWN), (2.0, 0, UP)), ring(True))

@@ -90,7 +90,7 @@ def test_a_gunner_turns_the_shorter_way(target, action):
     level = far * math.cos(up)
     drone = (level * math.cos(left), level * math.sin(left), PIVOT + far * math.sin(up))
     still = {name: jnp.zeros(robot.action_size) for name, robot in arena.robots.items()}
-    playing = arena.place(jax.random.key(0))[2]
+    playing = jax.jit(arena.place)(jax.random.key(0))[2]
     seen = jax.jit(arena.observe)(put(arena, [drone]), playing, still)["blue/0"]
     np.testing.assert_array_equal(jnp.sign(jnp.round(scripts.gunner(5.0, seen, None), 2)), action)
 

@@ -14,6 +14,7 @@ from arenas.games.sumo.match import GameState
 from arenas.games.sumo.settings import OUTCOME, PAPER
 from league.config import experiment
 from league.config.schema import ConfigError
+from tests.arenas.hooks import judging, observing
 
 SHORT = replace(PAPER, episode=1.0)
 UNEVEN = SumoSettings(
@@ -41,13 +42,13 @@ def test_one_against_three_of_other_kinds_keeps_the_contract(observation):
 def test_any_robot_of_the_larger_team_loses_it_the_match(uneven, stand):
     poses = [(0.0, 0.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -3.0, 0.0)]
     physics = stand(uneven, poses, 1.0)
-    np.testing.assert_array_equal(uneven.judge(physics, physics, RING)[1].score, [1.0, 0.0])
+    np.testing.assert_array_equal(judging(uneven)(physics, physics, RING)[1].score, [1.0, 0.0])
 
 
 def test_shaping_is_the_mean_over_each_team_whatever_its_size(uneven, stand):
     before = stand(uneven, [(0.5, 0.0, 0.0), (-1.0, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0, -2.5, 0.0)])
     after = stand(uneven, [(0.5, 0.0, 0.0), (-1.015, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0, -2.515, 0.0)])
-    shaping = uneven.judge(before, after, RING)[1].shaping
+    shaping = judging(uneven)(before, after, RING)[1].shaping
     # Red moved 0.03 m outwards in all, 0.01 m on average. Blue lost 0.015 m to its nearest enemy; red 0.015 m and,
     # along the diagonal from (0.5, 0) to (0, -2.5), 0.0147 m.
     diagonal = np.hypot(0.5, 2.515) - np.hypot(0.5, 2.5)
@@ -57,7 +58,7 @@ def test_shaping_is_the_mean_over_each_team_whatever_its_size(uneven, stand):
 def test_everybody_sees_everybody_and_enemies_last(uneven, stand):
     physics = stand(uneven, [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (2.5, 0.0, 0.0)])
     actions = {a.name: jnp.zeros(a.action_size) for a in uneven.agents}
-    seen = {name: np.asarray(x) for name, x in uneven.observe(physics, RING, actions).items()}
+    seen = {name: np.asarray(x) for name, x in observing(uneven)(physics, RING, actions).items()}
     assert {name: len(x) for name, x in seen.items()} == {"blue/0": 81, "red/0": 38, "red/1": 81, "red/2": 42}
     np.testing.assert_allclose(seen["blue/0"][[54, 63, 72]], [1.0, 2.0, 2.5], atol=1e-6)
     np.testing.assert_allclose(seen["red/0"][[11, 20, 29]], [1.0, 1.5, -1.0], atol=1e-6)

@@ -35,7 +35,9 @@ def test_the_centre_holder_reaches_the_centre_and_stays(duel):
 
 def test_the_idle_and_the_random_act_so(duel):
     keys = jax.random.split(jax.random.key(0), 1000)
-    actions = {n: jax.vmap(s["leatherback"])(jnp.ones((1000, 20)), keys) for n, s in duel.arena.scripts().items()}
+    actions = {
+        n: jax.jit(jax.vmap(s["leatherback"]))(jnp.ones((1000, 20)), keys) for n, s in duel.arena.scripts().items()
+    }
     assert not actions["idle"].any()
     assert actions["random"].min() < -0.98
     assert actions["random"].max() > 0.98
