@@ -1,6 +1,7 @@
 """Every arena has a page that says what the arena is now, and a picture."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -9,6 +10,7 @@ from league.queries import arena_info
 from scripts import arena_pages
 
 PAGES = arena_pages.pages()
+BEGINNINGS = {".png": b"\x89PNG", ".webp": b"RIFF"}  # of a picture's bytes; a film is a .webp
 
 
 def test_every_arena_has_a_page():
@@ -36,7 +38,7 @@ def test_the_pictures_and_files_that_a_page_names_are_there(file):
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
     assert {f"../pictures/arenas/{name}.png" for name in PAGES[file]} <= set(pictures)
     for picture in pictures:
-        assert (page.parent / picture).read_bytes().startswith(b"\x89PNG")
+        assert (page.parent / picture).read_bytes().startswith(BEGINNINGS[Path(picture).suffix])
     files = re.findall(r"`((?:arenas|tests|benchmarks)/[\w/]+\.py)`", text)
     assert [each for each in files if not (arena_pages.ROOT / each).exists()] == []
 
