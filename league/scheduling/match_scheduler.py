@@ -181,10 +181,15 @@ def _too_early(config: Config, state: LeagueState, progress: TrainingProgress) -
     PATIENCE seconds without a batch, trials are played anyway.
     """
     target = config.budget.success
-    if target is None or config.budget.plateau is not None or not state.one_team:
+    if target is None or not _waits_for_success(config):
         return False
     last = state.batches.due if state.batches is not None else 0.0
     return progress.seconds - last < PATIENCE and all(share < target for share in state.successes.values())
+
+
+def _waits_for_success(config: Config) -> bool:
+    """Return whether nothing but a success rate, which only arenas of one team have, can end training by ratings."""
+    return config.budget.success is not None and config.budget.plateau is None
 
 
 def next_slot(share: float, trained: float, last: Batches | None) -> float | None:
@@ -240,7 +245,8 @@ def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
     """Return the snapshots of an arena of one team that have not played their quota, newest first.
 
     If training waits for a success rate, only the newest snapshots play: a batch lasts as long as its longest episode,
-    and the episodes of older ones, which fail more often, are long.
+    and the episodes of older ones, which fail more often, are long. If it waits for a plateau, which needs many rated
+    snapshots, older ones play too, but no batch consists of them alone, because the newest would have to wait for it.
     """
     quota = config.rating.final_episodes_per_pair if over else config.rating.episodes_per_pair
     newest = {s.name for s in state.newest_snapshots}
@@ -251,8 +257,10 @@ def _trials(config: Config, state: LeagueState, over: bool) -> list[Lineup]:
         for s in order
         if state.ladder.trial_episodes(s.name) < (quota if s.name in newest else config.rating.episodes_per_pair)
     ]
-    if config.budget.by_rating and not over:
+    if _waits_for_success(config) and not over:
         found = [name for name in found if name in newest]
+    if config.budget.by_rating and not over and newest.isdisjoint(found):
+        return []
     return [(name, None) for name in found]
 
 

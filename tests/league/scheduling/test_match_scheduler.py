@@ -143,6 +143,15 @@ def test_with_unlike_rosters_only_opponents_can_meet_and_initial_is_the_other_si
         assert {a.partition("@")[0], b.partition("@")[0]} == {"blue", "red"}
 
 
+def test_scripts_by_which_training_ends_are_met_before_initial_snapshots():
+    config = training()
+    config = replace(config, budget=configuration.Budget(score=0.8, against=("pusher",)))
+    state = league_state(checkpoints=checkpoints(64), snapshots=snapshots(0, 1, 2, 4, 8, 16, 32, 64))
+    asked = [frozenset((f"{name}@64", "pusher")) for name in ("blue", "red")]
+    assert order(config, state)[1:3] == asked
+    assert set(asked).isdisjoint(order(training(), state)[:3])
+
+
 @pytest.mark.parametrize("workers", [1, 3])
 def test_each_match_worker_gets_a_batch_of_its_own(workers):
     config = training()
@@ -325,6 +334,9 @@ def test_trials_that_may_end_a_stage_come_first_and_no_others_hold_them_up():
     assert pairs_of(match_scheduler.next_matches(deciding, alone)) == [("blue@64", None)]
     assert pairs_of(match_scheduler.next_matches(config, tried)) == [(f"blue@{i}", None) for i in (32, 16, 8, 4)]
     assert pairs_of(match_scheduler.next_matches(deciding, tried)) == []
+    flat = replace(config, budget=configuration.Budget(plateau=6))
+    assert pairs_of(match_scheduler.next_matches(flat, alone)) == [(f"blue@{i}", None) for i in (64, 32, 16, 8)]
+    assert pairs_of(match_scheduler.next_matches(flat, tried)) == []
     over = replace(tried, checkpoints=checkpoints(64, 300.0, PLAYERS[:1]))
     over_config = replace(deciding, budget=configuration.Budget(success=0.9, training_time="5m"))
     assert ("blue@32", None) in pairs_of(match_scheduler.next_matches(over_config, over))
