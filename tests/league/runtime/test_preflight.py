@@ -14,7 +14,7 @@ from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
 from league.runtime.bootstrap import create
 from league.runtime.preflight import prepare
-from league.runtime.validation import roster, validate
+from league.runtime.validation import roster, scripts, validate
 from league.system import devices
 from league.system.arena_build import worlds
 from storage.store import Store
@@ -53,6 +53,13 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
     assert ".".join(caught.value.key) == key
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_scripts_by_which_training_ends_are_in_the_pool_whatever_is_rated():
+    config = duel(rating=replace(duel().rating, scripts=("random",)))
+    assert scripts(config, validate(config)) == ("random",)
+    config = replace(config, budget=configuration.Budget(score=0.8, against=("idle",)))
+    assert scripts(config, validate(config)) == ("random", "idle")
 
 
 def test_more_devices_than_gpus_are_refused_and_on_a_cpu_they_are_processes(monkeypatch):
