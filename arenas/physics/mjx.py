@@ -15,7 +15,7 @@ from arenas.physics.engine import DYNAMICS, Engine, Physics, keep_apart_from_fus
 from arenas.physics.void_causes import Cause
 
 if TYPE_CHECKING:
-    from arenas.physics.kernels.loading import Preparation
+    from arenas.physics.kernels.preparation import Preparation
 
 # Warp's overflow bits for dropped contacts or rows, by cause: NEFC and NJMAX_NNZ; BROADPHASE; NARROWPHASE and CCD,
 # whose convex pairs have as many slots as the contact pool; HFIELD, CONTACT_MATCH, NVMAX and EPA_HORIZON. Higher bits
@@ -64,7 +64,7 @@ class MjxEngine(Engine):
 
     @cached_property
     def _kernels(self) -> "Preparation":
-        from arenas.physics.kernels.loading import Preparation  # Warp is an optional dependency
+        from arenas.physics.kernels.preparation import Preparation  # Warp is an optional dependency
 
         return Preparation(self._stepped, ["step", *self._refresh], **self._of_one)
 

@@ -56,7 +56,7 @@ def start_builds(solvers: Sequence[Solver], processes: int) -> list[subprocess.P
 
 
 class _Parts:
-    """What `build_lto_solver` fills of a builder."""
+    """The parts of a builder that `build_lto_solver` fills."""
 
     def __init__(self) -> None:
         self.ltoirs, self.ltoirs_decl, self.fatbins = {}, {}, {}

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import warp
 
-from arenas.physics.kernels import loading
+from arenas.physics.kernels import preparation
 
 N = 4
 
@@ -41,7 +41,7 @@ def gpu(monkeypatch):
     warp.init()
     if not warp._src.context.runtime.core.wp_is_mathdx_enabled():
         pytest.skip("this build of Warp has no libmathdx")
-    monkeypatch.setattr(loading, "_compilations", {})
+    monkeypatch.setattr(preparation, "_compilations", {})
     return Gpu()
 
 
@@ -56,15 +56,15 @@ def test_processes_build_the_solvers_that_kernels_link(gpu, tmp_path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(warp.config, "kernel_cache_dir", str(one))
         patch.setattr(warp._src.context.runtime.core, "wp_cuda_compile_solver", lambda *_: pytest.fail("built here"))
-        loading.compile_ahead([binary], gpu)
-        (compilation,) = loading._compilations.values()
+        preparation.compile_ahead([binary], gpu)
+        (compilation,) = preparation._compilations.values()
         assert compilation.exception() is None
         assert len(list((one / "lto").glob("*[0-9a-f].lto"))) == 2  # a factor, and a solve
-        loading._compilations.clear()
-        loading.compile_ahead([binary], gpu)
-        assert not loading._compilations  # it is in the cache
+        preparation._compilations.clear()
+        preparation.compile_ahead([binary], gpu)
+        assert not preparation._compilations  # it is in the cache
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(other))
-    loading._compile(*binary, gpu, [])
+    preparation._compile(*binary, gpu, [])
     assert len(binaries(one)) == 1
     assert binaries(one) == binaries(other)
 
@@ -72,9 +72,9 @@ def test_processes_build_the_solvers_that_kernels_link(gpu, tmp_path, monkeypatc
 @pytest.mark.slow
 def test_warp_builds_a_solver_that_no_process_could_build(gpu, tmp_path, monkeypatch):
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path))
-    monkeypatch.setattr(loading.tile_solvers, "__file__", str(tmp_path / "none.py"))
-    loading.compile_ahead([(solving_kernel().module, 32)], gpu)
-    (compilation,) = loading._compilations.values()
+    monkeypatch.setattr(preparation.tile_solvers, "__file__", str(tmp_path / "none.py"))
+    preparation.compile_ahead([(solving_kernel().module, 32)], gpu)
+    (compilation,) = preparation._compilations.values()
     assert compilation.exception() is None
     assert len(binaries(tmp_path)) == 1
     assert len(list((tmp_path / "lto").glob("*[0-9a-f].lto"))) == 2

@@ -156,7 +156,7 @@ def _options(binary: Binary) -> dict[str, Any]:
 def _kept(binary: Binary, device: Any) -> bool:
     """Return whether Warp's cache has a binary."""
     module, block_dim = binary
-    folder = os.path.join(warp.config.kernel_cache_dir, module.get_module_identifier(block_dim))
+    folder = os.path.join(warp.config.kernel_cache_dir or "", module.get_module_identifier(block_dim))
     return os.path.exists(os.path.join(folder, module._get_compile_output_name(device, block_dim=block_dim)))
 
 
