@@ -72,6 +72,8 @@ FADE = 0.4
 TURNS = 2
 """Turns, each with new opponents, between two snapshots of a main player, unless an iteration is longer."""
 
+AGES = {"early": 0.1, "middle": 0.4}
+"""Shares of the steps of the earlier policies that `--ages` exports too, as references need them."""
 PATIENCE = 5.0
 """Seconds until leagues that another process runs are looked at again."""
 
@@ -184,10 +186,14 @@ def export(store: Store, entry: Entry, args: argparse.Namespace) -> None:
         if player.role != MAIN.name:
             continue
         newest = max(history, key=lambda snapshot: snapshot.iteration)
+        files = {team: newest}
+        for age, share in AGES.items() if args.ages else ():
+            files[f"{team}-{age}"] = min(history, key=lambda each: abs(each.step - share * args.steps))
         frozen = entry.run.config.arena == entry.task.config().arena
         if newest.arena is None or (frozen and newest.arena.config_hash != entry.task.config_hash):
             raise ConfigError((), f"{newest.name} of {league} did not learn in the arena of {entry.task.name}")
-        write_whole(entry.folder / f"{team}.safetensors", policy_file.export(opened, newest.name).to_bytes())
+        for file, snapshot in files.items():
+            write_whole(entry.folder / f"{file}.safetensors", policy_file.export(opened, snapshot.name).to_bytes())
         taken[team] = {"snapshot": newest.name, "decisions": newest.step, "engine": newest.arena.engine}
     result = {
         "task": entry.task.name, "config_hash": entry.task.config_hash, "method": entry.method, "seed": entry.run.seed,
@@ -244,6 +250,7 @@ def parsed(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--worlds", type=int, default=256, help="worlds of each league")
     parser.add_argument("--snapshots", type=int, default=20, help="snapshots of a main player, about")
     parser.add_argument("--episodes", type=int, default=128, help="of each pair in PSRO's payoff table")
+    parser.add_argument("--ages", action="store_true", help="also export early and middle policies")
     parser.add_argument("--engine", default="auto", choices=["auto", "c", "jax", "warp"])
     parser.add_argument("--jobs", type=int, default=1, help="leagues at once; several GPUs are shared out")
     parser.add_argument("--store", type=Path, default=Path("runs/baselines"), help="the store of all leagues")
