@@ -9,11 +9,12 @@ A change of a task's references changes their digest: entries that met the forme
 import argparse
 import hashlib
 import json
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from league.commands.cli import guarded
 from league.config import experiment
@@ -22,6 +23,8 @@ from league.runs.bench.games import Row, bench_league
 from league.runs.bench.references import FOLDER, Reference
 from league.runs.bench.tasks import Task
 from league.snapshots import policy_file
+from league.snapshots.policy_file import Policy
+from storage.blobs import arrays
 
 MANIFEST = FOLDER / "manifest.json"
 
@@ -41,9 +44,10 @@ def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | No
 
     Raises StorageError for a file without a policy.
     """
-    about = policy_file.read(file).about
+    policy = policy_file.read(file)
+    about, (stored, copies) = policy.about, of_one_agent(policy)
     copy = FOLDER / f"{task.name.rpartition('-')[0]}-{name.replace(':', '-')}.safetensors"
-    shutil.copyfile(file, copy)
+    copy.write_bytes(stored.to_bytes())
     settings = experiment.loads(about["settings"])
     entry = {
         "name": name, "kind": kind, "file": copy.name, "sha256": hashlib.sha256(copy.read_bytes()).hexdigest(),
@@ -51,7 +55,7 @@ def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | No
         "provenance": words or f"{about['name']} of league {about['league']}, {about['steps']:,} steps,"
         f" seed {settings.seed}",
     }  # fmt: skip
-    entry |= {"team": team} if team else {}
+    entry |= ({"team": team} if team else {}) | ({"copies": copies} if copies > 1 else {})
     manifest = listed()
     own = manifest["tasks"].setdefault(task.name, {"references": []})
     if "rows" in own:
@@ -60,6 +64,24 @@ def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | No
     own["references"] = [each for each in own["references"] if each["name"] != name] + [entry]
     write(manifest)
     return Reference(**entry)
+
+
+def of_one_agent(policy: Policy) -> tuple[Policy, int]:
+    """Return the policy of one agent and the number of agents that act by it; 1 with the whole one if they differ."""
+    agents: dict[str, dict[str, np.ndarray]] = {}
+    for name, array in policy.arrays.items():
+        number, _, own = name.partition("/")
+        agents.setdefault(number, {})[own] = array
+    first = agents["0"]
+    if not all(
+        own.keys() == first.keys() and all(map(np.array_equal, own.values(), first.values())) for own in agents.values()
+    ):
+        return policy, 1
+    one = {f"0/{name}": array for name, array in first.items()}
+    roster, digest = policy.about["roster"].split("+")[0], hashlib.sha256(arrays.to_bytes(one)).hexdigest()
+    return Policy(one, {**policy.about, "roster": roster, "agents": policy.about["agents"][:1], "digest": digest}), len(
+        agents
+    )
 
 
 def _write_rows(task: Task, own: dict[str, Any], rows: Sequence[Row]) -> None:

@@ -35,7 +35,7 @@ class Reference:
     kind: Kind
     team: str | None = None  # in a task of unlike sides
     policy: str = ""  # of a shipped one, its name in the package
-    copies: int = 1  # of a shipped one, number of agents that act by it
+    copies: int = 1  # number of agents that act by its file's one
     file: str = ""  # of others that learnt
     sha256: str = ""
     stage: str = ""
