@@ -73,15 +73,16 @@ def of_one_agent(policy: Policy) -> tuple[Policy, int]:
         number, _, own = name.partition("/")
         agents.setdefault(number, {})[own] = array
     first = agents["0"]
-    if not all(
-        own.keys() == first.keys() and all(map(np.array_equal, own.values(), first.values())) for own in agents.values()
-    ):
+    equal = [
+        own.keys() == first.keys() and all(np.array_equal(own[n], first[n]) for n in first) for own in agents.values()
+    ]
+    if not all(equal):
         return policy, 1
     one = {f"0/{name}": array for name, array in first.items()}
-    roster, digest = policy.about["roster"].split("+")[0], hashlib.sha256(arrays.to_bytes(one)).hexdigest()
-    return Policy(one, {**policy.about, "roster": roster, "agents": policy.about["agents"][:1], "digest": digest}), len(
-        agents
-    )
+    digest = hashlib.sha256(arrays.to_bytes(one)).hexdigest()
+    roster = policy.about["roster"].split("+")[0]
+    about = {**policy.about, "roster": roster, "agents": policy.about["agents"][:1], "digest": digest}
+    return Policy(one, about), len(agents)
 
 
 def _write_rows(task: Task, own: dict[str, Any], rows: Sequence[Row]) -> None:

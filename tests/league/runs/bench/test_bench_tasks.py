@@ -10,7 +10,9 @@ from league.config.schema import ConfigError
 from league.runs.bench import evaluation, metrics, references
 from league.runs.bench.games import bench_league
 from league.runs.bench.tasks import TASKS, find
+from league.snapshots import policy_file
 from league.snapshots.codec import thaw
+from scripts.bench_references import of_one_agent
 from storage.errors import StorageError
 
 MOST = 6_500_000  # bytes that references add to the package
@@ -86,3 +88,15 @@ def test_a_reference_that_changed_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(references, "FOLDER", tmp_path)
     with pytest.raises(StorageError, match="not the one of its manifest: reinstall"):
         references.bring_in(None, task, learnt)  # type: ignore[arg-type]
+
+
+def test_a_shared_actor_is_stored_once_and_unlike_actors_each():
+    stored = policy_file.read(references.FOLDER / "t5-pursuit-happo-1-late-predators.safetensors")
+    team = references.copied(stored, find("t5-pursuit-v1").sides["predators"], 3)
+    one, copies = of_one_agent(team)
+    assert copies == 3
+    assert one.about["roster"] == stored.about["roster"]
+    assert one.arrays.keys() == stored.arrays.keys()
+    assert all(np.array_equal(one.arrays[name], stored.arrays[name]) for name in one.arrays)
+    unlike = policy_file.read(references.FOLDER / "t1-sumo-rovers-happo-101-late.safetensors")
+    assert of_one_agent(unlike) == (unlike, 1)
