@@ -7,8 +7,8 @@ A league plays in the task's frozen arena, with the learner of the preset of tha
 player has had `--steps` decisions, rounded up to whole iterations. Its processes are those of `league run`, and
 `league run OUT/TASK/METHOD/SEED/league.toml --store STORE` does the same. Beside that file lie `SIDE.safetensors`, the
 newest policy of each side's main player, and `result.json`, with the decisions of every player. What is there is
-skipped, and leagues that were stopped or killed go on when the same command is given again. At the end the commands
-are printed that measure the entries.
+skipped, and leagues that were stopped or killed go on when the same command is given again. With `--enter FOLDER`
+nothing is trained: `league bench` measures what `--out` has, an entry for each task and method, into that folder.
 
 Methods differ by opponents alone, but for the last two:
 
@@ -25,9 +25,11 @@ import argparse
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import groupby, product
 from math import ceil
@@ -45,7 +47,7 @@ from league.config.schema import ConfigError
 from league.config.sections import Budget, PlayerSettings
 from league.queries.query import Open
 from league.runs.bench import tasks
-from league.runs.bench.tasks import Task
+from league.runs.bench.tasks import GAMES, Task
 from league.runs.sweeps.run_state import run_state
 from league.runs.sweeps.sweep_file import SweepRun
 from league.runs.sweeps.sweep_work import SweepWork
@@ -64,6 +66,15 @@ METHODS: Mapping[str, Opponents] = {
     "psro": Opponents("nash", await_matches=True),
     "mappo": Opponents("latest"),
     "magnet": Opponents("latest"),
+}
+ABOUT: Mapping[str, str] = {
+    "latest": "HAPPO against the newest opponents",
+    "uniform": "HAPPO against a uniform history",
+    "pfsp": "HAPPO by prioritised fictitious self-play",
+    "alphastar": "AlphaStar's league, its main players",
+    "psro": "PSRO whose players continue, their newest policies",
+    "mappo": "MAPPO against the newest opponents",
+    "magnet": "HAPPO against the newest opponents with a magnet",
 }
 MAGNET = 0.05
 """Weight of the magnet where the preset has none, as in experiments/attackers.py."""
@@ -163,11 +174,13 @@ def _roles(method: str, each: int) -> tuple[Role, ...]:
 
 
 def entry_of(task: Task, method: str, seed: int, args: argparse.Namespace) -> Entry:
-    """Return a league with its folder, in which its settings are written."""
+    """Return a league with its folder, in which its settings are written if it has to learn."""
     config, folder = config_of(task, method, seed, args), args.out / task.name / method / str(seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "league.toml").write_text(dumps(config, comments=False), "utf-8")
-    return Entry(task, method, SweepRun({}, seed, config), folder)
+    entry = Entry(task, method, SweepRun({}, seed, config), folder)
+    if not args.enter and not entry.result.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "league.toml").write_text(dumps(config, comments=False), "utf-8")
+    return entry
 
 
 def export(store: Store, entry: Entry, args: argparse.Namespace) -> None:
@@ -222,21 +235,50 @@ def export_finished(entries: Sequence[Entry], args: argparse.Namespace) -> None:
 
 
 def told(entries: Sequence[Entry]) -> Iterator[str]:
-    """Yield a line for each league that was exported, and for each task and method the command that measures it."""
-    for (task, method), group in groupby(entries, key=lambda entry: (entry.task, entry.method)):
-        done = [entry for entry in group if entry.result.exists()]
-        for entry in done:
+    """Yield a line for each league that was exported: decisions of main players and of all players, by side."""
+    for entry in entries:
+        if entry.result.exists():
             found = json.loads(entry.result.read_text("utf-8"))
             mains = {side: f"{each['decisions']:,}" for side, each in found["policies"].items()}
             everyone = {side: f"{steps:,}" for side, steps in found["population_decisions"].items()}
             yield f"{entry.run.name}: decisions of main players {mains}, of all {everyone}"
-        files = [
-            f"{entry.folder}/{side}.safetensors" if task.alike else f"{side}={entry.folder}/{side}.safetensors"
-            for side in task.teams
-            for entry in done
-        ]
-        if files:
-            yield f"league bench {task.name} --entry {' '.join(files)} --name {method}"
+
+
+def bench_command(task: Task, method: str, entries: Sequence[Entry], args: argparse.Namespace) -> list[str]:
+    """Return the command that enters the exported policies of a method, or nothing where that has been done."""
+    done, out = [entry for entry in entries if entry.result.exists()], args.enter / f"{task.name}-{method}.json"
+    if not done or out.exists():
+        return []
+    results = [json.loads(entry.result.read_text("utf-8")) for entry in done]
+    own = max(each["decisions"] for result in results for each in result["policies"].values())
+    everyone = max(steps for result in results for steps in result["population_decisions"].values())
+    seeds = ", ".join(str(result["seed"]) for result in results)
+    population = f", {everyone:,} of all players of a side" if everyone > own else ""
+    files = [
+        f"{'' if task.alike else f'{side}='}{entry.folder}/{side}.safetensors" for side in task.teams for entry in done
+    ]
+    games = [] if task.exact else ["--games", str(args.games)]
+    return [
+        sys.executable, "-m", "league", "bench", task.name, "--entry", *files, "--name", method, "--about",
+        f"{ABOUT[method]}: {own:,} decisions{population}; seeds {seeds} (experiments/baselines.py)",
+        "--out", str(out), *games,
+    ]  # fmt: skip
+
+
+def enter(entries: Sequence[Entry], args: argparse.Namespace) -> int:
+    """Measure what was exported, `--jobs` methods at once; return the number of commands that failed."""
+    args.enter.mkdir(parents=True, exist_ok=True)
+    groups = groupby(entries, key=lambda entry: (entry.task, entry.method))
+    asked = [command for at, group in groups if (command := bench_command(*at, [*group], args))]
+
+    def run(command: list[str]) -> int:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        lines = [line for line in (done.stdout if done.returncode == 0 else done.stderr).splitlines() if line.strip()]
+        print(f"{command[command.index('--out') + 1]}: {lines[-1] if lines else done.returncode}", flush=True)
+        return done.returncode
+
+    with ThreadPoolExecutor(args.jobs) as pool:
+        return sum(code != 0 for code in pool.map(run, asked))
 
 
 def parsed(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -254,6 +296,8 @@ def parsed(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--engine", default="auto", choices=["auto", "c", "jax", "warp"])
     parser.add_argument("--jobs", type=int, default=1, help="leagues at once; several GPUs are shared out")
     parser.add_argument("--store", type=Path, default=Path("runs/baselines"), help="the store of all leagues")
+    parser.add_argument("--enter", type=Path, metavar="FOLDER", help="train nothing: measure what --out has")
+    parser.add_argument("--games", type=int, default=GAMES, help="of each pair, with --enter")
     args = parser.parse_args(argv)
     for name in ("steps", "worlds", "snapshots", "episodes", "jobs"):
         if getattr(args, name) < 1:
@@ -267,6 +311,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     # A seed of all methods comes before the next seed, so that a run that ends early compares all methods.
     asked = [(tasks.find(task), method, seed) for task, seed, method in product(args.tasks, args.seeds, args.methods)]
     entries = [entry_of(*each, args) for each in asked]
+    ordered = sorted(entries, key=lambda entry: (entry.task.name, list(METHODS).index(entry.method)))
+    if args.enter:
+        return 1 if enter(ordered, args) else 0
 
     def tell(line: str) -> None:
         print(line, flush=True)
@@ -286,7 +333,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 time.sleep(PATIENCE)
     finally:
         export_finished(entries, args)
-        for line in told(sorted(entries, key=lambda entry: (entry.task.name, entry.method))):
+        for line in told(ordered):
             print(line, flush=True)
     return 1 if failed else 0
 
