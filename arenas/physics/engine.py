@@ -131,6 +131,10 @@ class Engine(ABC):
             Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), no_cause(), carry, model=own, push=push)
         )
 
+    def compile_ahead(self) -> None:
+        """Start to compile, in threads, what the first step needs; loads nothing, and the engine may be used."""
+        return
+
     def prepare(self) -> Callable[[], None]:
         """Start slow preparations of the first step in threads, and return a function that waits for them.
 

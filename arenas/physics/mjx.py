@@ -2,7 +2,8 @@
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax.numpy as jnp
 import mujoco
@@ -12,6 +13,9 @@ from mujoco import mjx
 from arenas.arena_settings import Solver
 from arenas.physics.engine import DYNAMICS, Engine, Physics, keep_apart_from_fusion, no_cause
 from arenas.physics.void_causes import Cause
+
+if TYPE_CHECKING:
+    from arenas.physics.kernels.preparation import Preparation
 
 # Warp's overflow bits for dropped contacts or rows, by cause: NEFC and NJMAX_NNZ; BROADPHASE; NARROWPHASE and CCD,
 # whose convex pairs have as many slots as the contact pool; HFIELD, CONTACT_MATCH, NVMAX and EPA_HORIZON. Higher bits
@@ -49,13 +53,20 @@ class MjxEngine(Engine):
             self._buffers = {"naconmax": self.buffers.slots(worlds), "njmax": self.buffers.rows}
             self._of_one = {"contacts": self.buffers.contacts, "rows": self.buffers.rows}
 
+    def compile_ahead(self) -> None:
+        """Start to compile Warp's kernels."""
+        if self.name == "warp":
+            self._kernels.start_compiling()
+
     def prepare(self) -> Callable[[], None]:
         """Start to load Warp's kernels."""
-        if self.name != "warp":
-            return super().prepare()
-        from arenas.physics import warp_kernels  # Warp is an optional dependency
+        return self._kernels.start_loading() if self.name == "warp" else super().prepare()
 
-        return warp_kernels.start_loading(self._stepped, ["step", *self._refresh], **self._of_one)
+    @cached_property
+    def _kernels(self) -> "Preparation":
+        from arenas.physics.kernels.preparation import Preparation  # Warp is an optional dependency
+
+        return Preparation(self._stepped, ["step", *self._refresh], **self._of_one)
 
     @property
     def _refresh(self) -> list[str]:

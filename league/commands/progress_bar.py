@@ -44,14 +44,14 @@ class Progress:
 @contextmanager
 def report_kernels(every: float = 0.2) -> Iterator[None]:
     """Within this context, report the remaining kernels while physics compiles; check every `every` seconds."""
-    from arenas.physics import kernel_progress  # imported here, because commands that only read do not need it
+    from arenas.physics.kernels.progress import remaining  # here, because commands that only read do not need it
 
     over = threading.Event()
 
     def watch() -> None:
         with Progress("compiling physics kernels") as progress:
             while not over.wait(every):
-                left, total = kernel_progress.remaining()
+                left, total = remaining()
                 if left:
                     progress.tell("remaining", left, total)
                 else:

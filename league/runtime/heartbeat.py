@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from arenas.physics import kernel_progress
+from arenas.physics.kernels import progress as kernel_progress
 from storage.errors import StorageError
 
 if TYPE_CHECKING:

@@ -176,6 +176,7 @@ def main() -> None:
             message = {"away": str(error)} if error.transient or gone else {"refused": str(error), "key": ()}
         answer.write(json.dumps(message) + "\n")
     if request["keep"] and built is not None:
+        built.arena.engine.compile_ahead()  # while the rest is imported and the learners are made
         await_assignment(request, built)
 
 

@@ -30,6 +30,7 @@ class TrainingPrograms:
     """
 
     def __init__(self, config: Config, arena: Arena):
+        arena.engine.compile_ahead()  # while learners are made and programs are traced
         self.arena, self._setting = arena, _Setting.of(config)
         rollout, stagger, sequence, privileged = self._setting
         self.reset, self.restart = make_reset(arena, stagger), make_restart(arena, stagger)

@@ -12,7 +12,7 @@ import mujoco
 import pytest
 import warp
 
-from arenas.physics import kernel_progress, warp_kernels
+from arenas.physics.kernels import preparation, progress
 from arenas.physics.registry import make_engine
 
 XML = """
@@ -54,9 +54,9 @@ def run(engine):
 @pytest.mark.parametrize("derived", [(), ("xpos",), ("sensordata",)])
 def test_a_run_loads_what_was_prepared_and_compiles_no_more(derived, tmp_path, monkeypatch):
     prepared, loaded = [], []
-    load, of_module = warp_kernels.load, warp.Module.load
+    load, of_module = preparation.load, warp.Module.load
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path))
-    monkeypatch.setattr(warp_kernels, "load", lambda found, device: prepared.extend(found) or load(found, device))
+    monkeypatch.setattr(preparation, "load", lambda found, device: prepared.extend(found) or load(found, device))
     engine = make_engine("warp", mujoco.MjModel.from_xml_string(XML), derived, worlds=WORLDS)
     engine.prepare()()
     kept = set(tmp_path.iterdir())
@@ -73,9 +73,9 @@ def test_a_run_loads_what_was_prepared_and_compiles_no_more(derived, tmp_path, m
 
 
 def test_what_cannot_be_prepared_is_told_and_left_to_warp(monkeypatch, caplog):
-    monkeypatch.delattr(warp_kernels.mujoco_warp, "put_model")
+    monkeypatch.delattr(preparation.mujoco_warp, "put_model")
     with caplog.at_level(logging.WARNING):
-        warp_kernels.start_loading(mujoco.MjModel.from_xml_string(XML), ["step"], contacts=24, rows=128)()
+        preparation.Preparation(mujoco.MjModel.from_xml_string(XML), ["step"], contacts=24, rows=128).start_loading()()
     assert "first launched" in caplog.text
 
 
@@ -85,16 +85,16 @@ def test_a_kernel_that_fails_is_compiled_again_where_it_is_launched(tmp_path, mo
         x[warp.tid()] *= 2.0
 
     class Verbs:
-        put_model, make_data = warp_kernels.mujoco_warp.put_model, warp_kernels.mujoco_warp.make_data
+        put_model, make_data = preparation.mujoco_warp.put_model, preparation.mujoco_warp.make_data
 
         @staticmethod
         def step(m, d):
             warp.launch(double, dim=3, inputs=[warp.ones(3, dtype=float)])
 
-    monkeypatch.setattr(warp_kernels, "mujoco_warp", Verbs)
+    monkeypatch.setattr(preparation, "mujoco_warp", Verbs)
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path / "file" / "under"))
     (tmp_path / "file").write_text("no folder")
-    warp_kernels.start_loading(mujoco.MjModel.from_xml_string(XML), ["step"], contacts=24, rows=128)()
+    preparation.Preparation(mujoco.MjModel.from_xml_string(XML), ["step"], contacts=24, rows=128).start_loading()()
     assert "first launched" in caplog.text
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path))
     warp.launch(double, dim=3, inputs=[x := warp.ones(3, dtype=float)])
@@ -129,8 +129,8 @@ def test_kernels_that_remain_are_counted_while_threads_load_them(tmp_path, monke
 
     device = warp.get_device("cpu")
     monkeypatch.setattr(warp.Module, "load", slow)
-    loads = warp_kernels.load([(fourfold.module, 1)], device)
-    assert (kernel_progress.remaining(), kernel_progress.describe()) == ((1, 1), "1 of 1 physics kernels remain")
+    loads = preparation.load([(fourfold.module, 1)], device)
+    assert (progress.remaining(), progress.describe()) == ((1, 1), "1 of 1 physics kernels remain")
     let_go.set()
     assert all(load.result() for load in loads.values())
-    assert (kernel_progress.remaining(), kernel_progress.describe()) == ((0, 1), "")
+    assert (progress.remaining(), progress.describe()) == ((0, 1), "")
