@@ -85,7 +85,7 @@ class TrainingGames(Sequence[Meeting]):
 
 
 class Folds:
-    """What was folded over a log for each player: the newest folds by key. Whoever uses one holds `lock`."""
+    """Results of folds over a log, of each player the newest by key. Whoever uses one holds `lock`."""
 
     def __init__(self) -> None:
         self.lock = Lock()
@@ -138,8 +138,9 @@ class _Log:
 
     def game(self, place: int) -> Meeting:
         """Return one game as a record."""
-        player, opponent, *counts, pool, id, chance = self.rows[place].item()
-        return Meeting(self.league, self.names[player], counts[0], self.names[opponent], *counts[1:], chance, pool, id)
+        player, opponent, iteration, wins, draws, losses, voids, pool, id, chance = self.rows[place].item()
+        names = self.names[player], iteration, self.names[opponent]
+        return Meeting(self.league, *names, wins, draws, losses, voids, chance, pool, id)
 
     def _append(self, new: np.ndarray) -> None:
         start, self.size = self.size, self.size + len(new)

@@ -111,7 +111,7 @@ def test_games_that_are_folded_once_give_what_all_games_give(changes, since):
             more = [games("red@1", 3, 1, iteration=30), games("blue", 2, 0, iteration=1, who="red")]
             check(kept.extended(more), log + more)
         elif what == "lose":
-            snapshots.pop(next(iter(snapshots)), None)
+            snapshots.pop(next(iter(snapshots), ""), None)
         else:
             owner, iteration, parent = what
             new = snapshot(owner, iteration, parent=parent)
