@@ -169,7 +169,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=200)
     parser.add_argument("--crowd-seconds", type=float, default=30.0)
     args = parser.parse_args()
-    found = measured(parts, args)  # before run_info, which loads JAX into the process that forks the workers
+    found = measured(parts, args)  # before run_info, which loads JAX into this process
     report({**run_info(args.commit), **found}, args.out)
 
 
