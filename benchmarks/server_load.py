@@ -9,6 +9,7 @@ through PgBouncer with 20 sessions of the server. Each uses a private server, wh
 """
 
 import argparse
+import gc
 import multiprocessing
 import tempfile
 import time
@@ -64,6 +65,8 @@ def window(place: tuple[str, str], direct: str, workers: int, seconds: float, pa
     `direct` is the URL of the store without a pooler.
     """
     before = counted(direct)
+    gc.collect()
+    gc.freeze()  # else each forked process copies the memory of this one when it collects garbage
     start, done = FORK.Barrier(workers), FORK.Queue()
     processes = [FORK.Process(target=work, args=(place, i, start, seconds, pause, done)) for i in range(workers)]
     for process in processes:
@@ -166,7 +169,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=200)
     parser.add_argument("--crowd-seconds", type=float, default=30.0)
     args = parser.parse_args()
-    report({**run_info(args.commit), **measured(parts, args)}, args.out)
+    found = measured(parts, args)  # before run_info, which loads JAX into this process
+    report({**run_info(args.commit), **found}, args.out)
 
 
 if __name__ == "__main__":

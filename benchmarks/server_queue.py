@@ -242,7 +242,8 @@ def main() -> None:
     parser.add_argument("--vacuum-window", type=float, default=20.0, help="seconds")
     parser.add_argument("--vacuum-windows", type=int, default=10)
     args = parser.parse_args()
-    report({**run_info(args.commit), **measured(parts, args, 3 * args.workers + 50)}, args.out)
+    found = measured(parts, args, 3 * args.workers + 50)  # before run_info, which loads JAX into this process
+    report({**run_info(args.commit), **found}, args.out)
 
 
 if __name__ == "__main__":

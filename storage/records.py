@@ -4,7 +4,6 @@ Times are in seconds since the epoch on the database's clock. Digests are SHA-25
 players and snapshots are identified by name. A snapshot's digest identifies its bytes; two snapshots may share bytes.
 """
 
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -315,11 +314,6 @@ class Meeting:
     chance: float = 1.0
     pool: int = 0
     id: int = 0
-
-    def __post_init__(self) -> None:
-        """Keep each name once: the manager and each learner hold all of a league's meetings, and names repeat."""
-        for name in ("league", "player", "opponent"):
-            object.__setattr__(self, name, sys.intern(getattr(self, name)))
 
 
 @dataclass(frozen=True)

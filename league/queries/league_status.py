@@ -12,8 +12,9 @@ from league.queries.player_copies import describe_copies
 from league.queries.query import Open, score_text
 from league.scheduling.player_resets import Generation, current_generation
 from league.state.curriculum_stage import course
-from league.state.league_state import Group, LeagueState
+from league.state.league_state import Group, LeagueState, read_games
 from league.state.liveness import leader, processes
+from league.state.training_games import TrainingGames
 from league.state.void_rates import warnings as void_warnings
 from league.system import devices
 from matchmaking.roles import FIXED, Role
@@ -92,7 +93,8 @@ def _read_state(store: Store, league: str, settings: LeagueSettings) -> LeagueSt
     """Return the state of a league, with snapshots and training games only if the status needs them."""
     state = LeagueState.without_games(store, league)
     if settings.copies_after or any(role.has_generations for role in _roles(settings, state).values()):
-        return replace(state, snapshots=store.snapshots(league, brief=True), meetings=store.meetings(league))
+        games = read_games(store, league, TrainingGames())
+        return replace(state, snapshots=store.snapshots(league, brief=True), meetings=games)
     return state
 
 

@@ -8,16 +8,15 @@ so a restart changes nothing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 
+from league.scheduling.game_folds import Part, quality_scores, win_records
 from league.state.league_state import LeagueState
 from matchmaking.metagame.alpharank import alpharank, nash
 from matchmaking.opponents import (
     Mixture,
     Opponents,
-    Qualities,
     WinRecords,
     alphastar,
     by_quality,
@@ -31,7 +30,7 @@ from matchmaking.opponents import (
 )
 from matchmaking.ratings.scores import Score, score_interval
 from matchmaking.roles import LEAGUE_EXPLOITER, MAIN, Role, is_exploiter
-from storage.records import Meeting, Player, Snapshot
+from storage.records import Player, Snapshot
 
 WIN_RATE = "win rate"
 
@@ -153,10 +152,8 @@ def records(opponents: Opponents, state: LeagueState, learner: Player, since: in
     A snapshot that the learner has not met inherits the win rate of its parent; a player whose present policy it has
     not met inherits that of the player's newest snapshot.
     """
-    known = WinRecords(opponents.decay, opponents.shrinkage, state.parents)
-    for game in _games(state, learner, since):
-        known.note(game.opponent, game.wins, game.draws, game.losses)
-    return known
+    parts = _parts(state, learner, since)
+    return win_records(state.training_games, learner.name, parts, state.parents, opponents.decay, opponents.shrinkage)
 
 
 def candidate_scores(role: Role, state: LeagueState, learner: Player, since: Snapshot) -> dict[str, Score]:
@@ -190,34 +187,24 @@ def qualities(
     After thinning, the pool of a turn lacks some of the snapshots of that time; a snapshot that was never met until
     then counts as new.
     """
-    known, past = Qualities(opponents.rate), set(names)
-    games = [game for game in _games(state, learner, since) if game.pool and game.opponent in past]
-    for _, played in groupby(games, key=lambda game: game.iteration):
-        turn = list(played)
-        known.add(names[: turn[0].pool])  # the snapshots of that time are the oldest ones
-        known.note(
-            [(g.opponent, g.wins + g.draws / 2, g.wins + g.draws + g.losses, g.chance) for g in turn], turn[0].pool
-        )
-    return known.of(names)
+    return quality_scores(state.training_games, learner.name, _parts(state, learner, since), names, opponents.rate)
 
 
-def _games(state: LeagueState, learner: Player, since: int = -1) -> list[Meeting]:
+def _parts(state: LeagueState, learner: Player, since: int = -1) -> list[Part]:
     """Return a learner's training games in order, preceded by those of the player of its team that it was copied from.
 
     After a reset, return only the games after that iteration, `since`.
     """
     if since >= 0:
-        return [m for m in state.games(learner.name) if m.iteration > since]
+        return [Part(learner.name, since)]
     team = {p.name for p in state.players if p.team == learner.team}
     frozen = state.by_name
-    name, before, found = learner.name, None, []
+    name, before, found = learner.name, None, list[Part]()
     for _ in range(len(frozen) + 1):  # copies form no cycle; the bound ends the loop even if they did
         history = [s for s in state.history(name) if before is None or s.iteration <= before]
         parents = [frozen.get(s.parent or "") for s in history]
         copied = [i for i, p in enumerate(parents) if p is not None and p.player in team - {name}]
-        last = history[copied[-1]].iteration if copied else -1
-        own = [m for m in state.games(name) if m.iteration > last]
-        found = [m for m in own if before is None or m.iteration <= before] + found
+        found.insert(0, Part(name, history[copied[-1]].iteration if copied else -1, before))
         if not copied or (parent := parents[copied[-1]]) is None or parent.player is None:
             break
         name, before = parent.player, parent.iteration

@@ -6,7 +6,6 @@ parent. The turn's one transaction writes all of this. The snapshot is the only 
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -17,7 +16,7 @@ from league.state.league_state import LeagueState
 from matchmaking.pbt import draw_partner, present_name
 from matchmaking.ratings.scores import Score, quantile
 from matchmaking.schedule import phase_score
-from storage.records import Meeting, Player, Snapshot
+from storage.records import Player, Snapshot
 
 if TYPE_CHECKING:  # a query reads no configuration
     from agents.settings import HappoConfig
@@ -107,13 +106,12 @@ def _of_late(state: LeagueState, player: str) -> Score:
 
     Turns are added, newest first, until there are 500 games or more, as far as they exist.
     """
-    begun, turns = since(state, player).iteration, defaultdict[int, list[Meeting]](list)
-    for game in state.games(player):
-        if game.iteration > begun:
-            turns[game.iteration].append(game)
-    played = {at: sum(m.wins + m.draws + m.losses for m in met) for at, met in turns.items()}
-    won = {at: sum(m.wins + m.draws / 2 for m in met) for at, met in turns.items()}
-    return phase_score([(played[at], won[at] / played[at]) for at in sorted(turns) if played[at]])
+    games = state.training_games.of_player(player)
+    games = games[games["iteration"] > since(state, player).iteration]
+    turns, at = np.unique(games["iteration"], return_inverse=True)
+    wins, draws, losses = (np.bincount(at, games[name], len(turns)) for name in ("wins", "draws", "losses"))
+    played = wins + draws + losses
+    return phase_score([(n, w / n) for n, w in zip(played.tolist(), (wins + draws / 2).tolist(), strict=True) if n])
 
 
 # In a checkpoint -----------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from league.state import recent_curves
 from league.state.recent_curves import RecentCurve
+from league.state.training_games import TrainingGames
 from league.state.void_rates import Voids
 from league.state.void_rates import found as voids_found
 from matchmaking.ratings.ladder import Ladder, Pool
@@ -49,6 +50,7 @@ class Group(NamedTuple):
 
 NO_MATCHES = Ladder(())
 NEW = 500  # snapshots that are read by name
+AT_ONCE = 10_000  # training games that are read at once
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,9 @@ class LeagueState:
         log = _Log.of(store, league, before, arena, Pool.of(snapshots, players))
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
         curves = recent_curves.read(store, league, checkpoints, phases, recent, before.curves)
-        met = before.meetings[-1].id if before.meetings else 0
         return cls(
             players, snapshots, checkpoints, phases, jobs, *log[:4],
-            [*before.meetings, *store.meetings(league, met)],
+            read_games(store, league, before.training_games),
             log.batches, curves, revision, voids_found(store, league, [each.voids for each in curves.values()]),
         )  # fmt: skip
 
@@ -160,16 +161,10 @@ class LeagueState:
         """The initial snapshots of all players."""
         return [snapshot for snapshot in self.snapshots if snapshot.initial]
 
-    def games(self, player: str) -> Sequence[Meeting]:
-        """Return the training games that a player has learnt from, in order."""
-        return self._games.get(player, ())
-
     @cached_property
-    def _games(self) -> Mapping[str, Sequence[Meeting]]:
-        found = defaultdict[str, list[Meeting]](list)
-        for game in self.meetings:
-            found[game.player].append(game)
-        return found
+    def training_games(self) -> TrainingGames:
+        """The results of all training games, in columns."""
+        return self.meetings if isinstance(self.meetings, TrainingGames) else TrainingGames(self.meetings)
 
     @cached_property
     def newest_snapshots(self) -> Sequence[Snapshot]:
@@ -212,6 +207,15 @@ class LeagueState:
     def one_team(self) -> bool:
         """True if all players are of one team, so that there are no opponents."""
         return len({player.team for player in self.players}) == 1
+
+
+def read_games(store: Store, league: str, before: TrainingGames) -> TrainingGames:
+    """Return a league's training games, of which those `before` were read; some at a time, to save memory."""
+    while True:
+        new = store.meetings(league, before.newest, limit=AT_ONCE)
+        before = before.extended(new)
+        if len(new) < AT_ONCE:
+            return before
 
 
 def _snapshots(store: Store, league: str, before: Sequence[Snapshot]) -> Sequence[Snapshot]:

@@ -16,6 +16,7 @@ from league.config.experiment import Config
 from league.scheduling import player_resets, population
 from league.snapshots.codec import Policy, freeze
 from league.state.jobs import TrainingTurn
+from league.state.league_state import AT_ONCE
 from league.training import reward_shaping
 from league.training.learner_factory import new_learner, reset_learner, settings_of, skills_of
 from league.training.own_learner import OwnLearner
@@ -54,7 +55,8 @@ class LearnerPool:
         self.updates = UpdatePool(list(self.learners.values()))
         self._annealing = {name: self._new_annealing() for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners' states equal
-        self._log: list[Meeting] = []  # the part of the store's training games that was read
+        self._games: list[Meeting] = []  # training games of the present generations
+        self._games_read = 0  # the last training game of the store that was read
 
     def role(self, name: str) -> Role:
         """Return a player's role, with all fields set."""
@@ -84,10 +86,18 @@ class LearnerPool:
         seconds = 0.0 if self.config.deterministic else total([c.seconds for c in at])
         return self.config.budget.spent(seconds, total([c.steps for c in at]))
 
-    def meetings(self, store: Store) -> list[Meeting]:
-        """Return the results of all training games in the store."""
-        self._log += store.meetings(self.league, self._log[-1].id if self._log else 0)
-        return self._log
+    def meetings(self, store: Store, begun: Mapping[str, int]) -> list[Meeting]:
+        """Return the results of the games in the store that players have learnt from in their generation.
+
+        `begun` has the iteration at which each player's generation began. Games of earlier ones are not kept, since no
+        later generation begins before.
+        """
+        while True:
+            new = store.meetings(self.league, self._games_read, limit=AT_ONCE)
+            self._games_read = new[-1].id if new else self._games_read
+            self._games = [m for m in (*self._games, *new) if m.iteration > begun.get(m.player, m.iteration)]
+            if len(new) < AT_ONCE:
+                return self._games
 
     # The weight of the dense reward ----------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ transaction (`league/training/trainer.py`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from agents.learner.happo import HappoLearner
@@ -129,8 +130,10 @@ class TurnFinalizer:
         own = [pool.players[name] for name in self.turn.learners if pool.role(name).has_generations]
         if not own:
             return False
-        games = [*pool.meetings(store), *meetings]
-        state = LeagueState(list(pool.players.values()), store.snapshots(pool.league, brief=True), meetings=games)
+        state = LeagueState(list(pool.players.values()), store.snapshots(pool.league, brief=True))
+        living = [name for name in pool.players if pool.role(name).has_generations and state.history(name)]
+        begun = {name: state.history(name)[-1].iteration for name in living}
+        state = replace(state, meetings=[*pool.meetings(store, begun), *meetings])
         found = {
             p.name: player_resets.current_generation(pool.role(p.name), state, p, pool.counters[p.name].steps)
             for p in own

@@ -4,7 +4,7 @@ Both are folded over the log of its games, turn by turn in order, and hold no ot
 the same numbers, even after a restart.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ SHRINKAGE = 10.0
 """Virtual draws at the start of a record."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class WinRecord:
     """Results against one opponent. Older games count less, and the record starts with virtual draws.
 
@@ -60,9 +60,12 @@ class WinRecords:
     parents: Mapping[str, str | None] = field(default_factory=dict)  # snapshot -> its parent
     row: dict[str, WinRecord] = field(default_factory=dict)
     met: dict[str, int] = field(default_factory=dict)  # games in total, without decay
+    inherited: dict[str, str] = field(default_factory=dict)  # opponent -> whose record it continued
 
     def note(self, opponent: str, wins: int, draws: int, losses: int) -> None:
         """Add a batch of games; void ones do not count."""
+        if opponent not in self.row and (source := self.source(opponent)):
+            self.inherited[opponent] = source
         self.row[opponent] = self.against(opponent).after(wins, draws, losses, self.decay)
         self.met[opponent] = self.met.get(opponent, 0) + wins + draws + losses
 
@@ -72,12 +75,25 @@ class WinRecords:
 
     def source(self, opponent: str) -> str | None:
         """Return the snapshot whose record stands for the opponent's: itself or its nearest ancestor; or None."""
-        seen: set[str] = set()
-        at: str | None = opponent
-        while at is not None and at not in self.row and at not in seen:
-            seen.add(at)
-            at = self.parents.get(at)
-        return at if at in self.row else None
+        return _nearest(opponent, self.row, self.parents)
+
+    def holds_for(self, parents: Mapping[str, str | None]) -> bool:
+        """Return whether the same games give the same records with other parents.
+
+        They do unless an opponent would continue another record when it is met first. That may change for a player,
+        whose parent is its newest snapshot.
+        """
+        met = set[str]()
+        for opponent in self.row:  # in the order in which they were met first
+            if _nearest(opponent, met, parents) != self.inherited.get(opponent):
+                return False
+            met.add(opponent)
+        return True
+
+    def copy(self) -> "WinRecords":
+        """Return the same records, which further games of this object leave as they are."""
+        own = dict(self.row), dict(self.met), dict(self.inherited)
+        return WinRecords(self.decay, self.shrinkage, self.parents, *own)
 
     def rates(self, opponents: Sequence[str]) -> np.ndarray:
         """Return win rates (n,) against those opponents."""
@@ -86,6 +102,16 @@ class WinRecords:
     def games(self, opponents: Sequence[str]) -> np.ndarray:
         """Return games (n,) played against them, without void ones."""
         return np.array([self.met.get(name, 0) for name in opponents], int)
+
+
+def _nearest(opponent: str, known: Collection[str], parents: Mapping[str, str | None]) -> str | None:
+    """Return the first of an opponent and its ancestors that is known; or None."""
+    seen: set[str] = set()
+    at: str | None = opponent
+    while at is not None and at not in known and at not in seen:
+        seen.add(at)
+        at = parents.get(at)
+    return at if at is not None and at in known else None
 
 
 @dataclass
@@ -106,8 +132,8 @@ class Qualities:
 
     def add(self, opponents: Iterable[str]) -> None:
         """Add opponents that may be drawn from now on."""
-        for name in opponents:
-            self.q.setdefault(name, max(self.q.values(), default=0.0))
+        if new := [name for name in opponents if name not in self.q]:
+            self.q |= dict.fromkeys(new, max(self.q.values(), default=0.0))
 
     def note(self, turn: Sequence[tuple[str, float, float, float]], pool: int) -> None:
         """Add a turn: for each opponent (name, wins + half the draws, games, p), out of `pool` opponents."""

@@ -68,6 +68,19 @@ class Database:
             raise Unavailable(f"{self.where}: it is not there any more (a disk not mounted, a file moved away?)")
 
     @contextmanager
+    def writing_alone(self) -> Iterator[sa.Connection]:
+        """Yield a connection to a server for statements that are transactions of their own, and write.
+
+        Through a pooler it gets a transaction, which has the limits of waiting for a lock (`sessions.py`).
+        """
+        with translated_errors(self.where), self._alone.connect() as db:
+            if not db.info.get("pooled"):
+                yield db
+                return
+        with self.writing() as db:
+            yield db
+
+    @contextmanager
     def changing(self, leagues: Iterable[str]) -> Iterator[sa.Connection]:
         """Yield a transaction that changes what planning reads of these leagues; see `rows.bump_revisions`."""
         with self.writing() as db:

@@ -152,26 +152,32 @@ def note_dropped(db: sa.Connection, digests: Iterable[str]) -> None:
 def add_matches(db: sa.Connection, matches: Sequence[Match | RankedMatch], last: int) -> None:
     """Append to a league's log; `last` is the id of the last match: see `reserve_match_ids`.
 
+    Raises StorageError as `match_rows` does.
+    """
+    for table, found in match_rows(db, matches).items():
+        if found:
+            db.execute(sa.insert(table), [row | {"id": last + row["id"]} for row in found])
+
+
+def match_rows(db: sa.Connection, matches: Sequence[Match | RankedMatch]) -> dict[sa.Table, list[dict[str, Any]]]:
+    """Return the rows of matches by table; the id of the last match is 0, and those before have -1, -2, ...
+
     Raises StorageError for a ranked match that contradicts itself or names a snapshot that its league does not have.
     """
-    pairs: list[dict[str, Any]] = []
-    ranked: list[dict[str, Any]] = []
-    for id, match in enumerate(matches, start=last - len(matches) + 1):
+    found: dict[sa.Table, list[dict[str, Any]]] = {t.matches: [], t.ranked_matches: []}
+    for id, match in enumerate(matches, start=1 - len(matches)):
         row = row_of(match, "id", "created") | {"id": id}
         if isinstance(match, Match):
-            pairs.append(row)
+            found[t.matches].append(row)
             continue
         try:
             check_rankings(match.snapshots, match.rankings, match.voids, match.voids_by_team)
             check_clusters(match.rankings, match.seed_clusters)
         except ValueError as error:
             raise StorageError(f"A match of {', '.join(match.snapshots)} contradicts itself: {error}.") from None
-        ranked.append(row | {"episodes": match.episodes})
-    if pairs:
-        db.execute(sa.insert(t.matches), pairs)
-    if ranked:
-        _require_snapshots(db, [match for match in matches if isinstance(match, RankedMatch)])
-        db.execute(sa.insert(t.ranked_matches), ranked)
+        found[t.ranked_matches].append(row | {"episodes": match.episodes})
+    _require_snapshots(db, [match for match in matches if isinstance(match, RankedMatch)])
+    return found
 
 
 def _require_snapshots(db: sa.Connection, matches: Sequence[RankedMatch]) -> None:

@@ -104,8 +104,8 @@ def _claim_statement(league: str, kinds: tuple[str, ...], max_attempts: int) -> 
 
 def renew(db: sa.Connection, lease: Lease, seconds: float) -> bool:
     """Extend the lease to `seconds` from now; False when the lease was lost. Nothing that planning reads changes."""
-    again = sa.update(t.jobs).where(_HELD).values(lease_until=t.now() + seconds)
-    return db.execute(again, _lease_parameters(lease)).rowcount == 1
+    again = sa.update(t.jobs).where(HELD).values(lease_until=t.now() + seconds)
+    return db.execute(again, lease_parameters(lease)).rowcount == 1
 
 
 def end_lease(db: sa.Connection, lease: Lease, **values: Any) -> str:
@@ -114,8 +114,8 @@ def end_lease(db: sa.Connection, lease: Lease, **values: Any) -> str:
     The order is chosen so that two jobs of one league that end at the same time block each other as briefly as
     possible. Raises LeaseLost.
     """
-    ended = sa.update(t.jobs).where(_HELD).values({"lease_until": None, **values}).returning(t.jobs.c.league)
-    if (league := db.scalar(ended, _lease_parameters(lease))) is None:
+    ended = sa.update(t.jobs).where(HELD).values({"lease_until": None, **values}).returning(t.jobs.c.league)
+    if (league := db.scalar(ended, lease_parameters(lease))) is None:
         holder = f"{lease.holder} (attempt {lease.attempt})"
         raise LeaseLost(f"Job {lease.job} is no longer held by {holder}; its results were not written.")
     return league
@@ -211,8 +211,8 @@ def _skip_locked(query: Select) -> Select:
     return query.with_for_update(skip_locked=True).correlate(None)
 
 
-# The condition that a lease holds its job; `_lease_parameters` gives the three values.
-_HELD = sa.and_(
+# The condition that a lease holds its job; `lease_parameters` gives the three values.
+HELD = sa.and_(
     t.jobs.c.id == sa.bindparam("its_id"),
     t.jobs.c.holder == sa.bindparam("its_holder"),
     t.jobs.c.attempt == sa.bindparam("its_attempt"),
@@ -220,5 +220,6 @@ _HELD = sa.and_(
 )
 
 
-def _lease_parameters(lease: Lease) -> dict[str, Any]:
+def lease_parameters(lease: Lease) -> dict[str, Any]:
+    """Return the parameters of `HELD`."""
     return {"its_id": lease.job, "its_holder": lease.holder, "its_attempt": lease.attempt}

@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from storage.database import rows
 from storage.database import schema as t
 from storage.errors import LeaseLost, StorageError
-from storage.operations import leases
+from storage.operations import batch_end, leases
 from storage.operations.base import StoreBase
 from storage.records import Checkpoint, CurvePoint, Job, JobState, Lease, Match, Meeting, Phase, RankedMatch, Snapshot
 
@@ -121,6 +121,9 @@ class JobQueue(StoreBase):
         """
         self._require_blobs(row.digest for row in (*checkpoints, *snapshots))
         self._require_blobs(match.recording for match in matches if match.recording is not None)
+        of_players = bases or checkpoints or snapshots or curves or meetings or jobs
+        if not of_players and self._db.is_server and self._finish_batch(lease, matches):
+            return
         with self._db.writing() as db:
             league = leases.end_lease(db, lease, state="done", error=None)
             for row in (*checkpoints, *snapshots, *matches, *curves, *meetings, *jobs):
@@ -134,6 +137,19 @@ class JobQueue(StoreBase):
             rows.add_curves(db, curves)
             rows.add_meetings(db, meetings)
             rows.add_jobs(db, rows.without_thinned(db, jobs))
+
+    def _finish_batch(self, lease: Lease, matches: Sequence[Match | RankedMatch]) -> bool:
+        """Finish a job without results of players by one statement; False, and nothing is done, where that is refused.
+
+        Jobs of a league end one after another. In a transaction of several statements each would keep the others
+        waiting until its process has read an answer: for long, where processes by far outnumber the cores.
+        """
+        with self._db.writing_alone() as db:
+            try:
+                played = rows.match_rows(db, matches)
+            except StorageError:
+                return False
+            return batch_end.finish(db, lease, {match.league for match in matches}, played)
 
     def fail(self, lease: Lease, error: str, tries: int = 3, wait: float = 5.0) -> bool:
         """Record why a job failed; False when the lease was lost.

@@ -165,10 +165,10 @@ class Results(StoreBase):
         chosen = [c.league == league, c.iteration > after, *([c.player == player] if player is not None else [])]
         return self._db.records(CurvePoint, t.curves, *chosen, order=(c.player, c.iteration))
 
-    def meetings(self, league: str, after: int = 0) -> list[Meeting]:
-        """Return the outcomes of training games, or those written after a row, in commit order."""
+    def meetings(self, league: str, after: int = 0, limit: int | None = None) -> list[Meeting]:
+        """Return the outcomes of training games, or the first ones written after a row, in commit order."""
         c = t.meetings.c
-        return self._db.records(Meeting, t.meetings, c.league == league, c.id > after, order=[c.id])
+        return self._db.records(Meeting, t.meetings, c.league == league, c.id > after, order=[c.id], limit=limit)
 
 
 def _chosen(

@@ -5,6 +5,7 @@ The page has the same data as the commands `ratings`, `payoff`, `explain`, `curv
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -207,7 +208,10 @@ def _mixture(found: Mapping[str, Any], player: Player) -> Iterator[FigureBlock |
         against = f" in team {team['team']}" if len(found["teams"]) > 1 else ""
         caption = f"Whom {player.name} meets{against} by the rule {found['kind']}"
         yield FigureBlock(figures.mixture(team["opponents"]), f"{caption}: {team['why']}.")
-        yield _table(mark_present(team["opponents"]), opponent_columns(team), caption)
+        all_of_them = mark_present(team["opponents"])
+        shown = all_of_them[:NEWEST]
+        named = caption if len(shown) == len(all_of_them) else f"{caption}: the newest {NEWEST} of {len(all_of_them):,}"
+        yield _table(shown, opponent_columns(team), named)
 
 
 def _curves(points: Sequence[Row]) -> Iterator[str | FigureBlock | TableBlock]:
@@ -225,8 +229,7 @@ def _curves(points: Sequence[Row]) -> Iterator[str | FigureBlock | TableBlock]:
 
 def _means(points: Sequence[Row]) -> str:
     """Describe a point of a long curve."""
-    players = [row["player"] for row in points]
-    most = max(map(players.count, set(players)))
+    most = max(Counter(row["player"] for row in points).values())
     return f" A point is a mean over up to {-(-most // figures.POINTS)} iterations." if most > figures.POINTS else ""
 
 

@@ -5,7 +5,8 @@ import socket
 
 import pytest
 
-from dashboards.web.document import Card, FigureBlock, FilmBlock
+from dashboards.web.document import Card, FigureBlock, FilmBlock, TableBlock
+from league.queries.page import league_page
 from league.queries.page.league_page import sections
 from league.queries.query import Open
 from storage.records import CurvePoint, Job, League
@@ -147,3 +148,15 @@ def test_unlike_sides_have_a_leader_each_and_one_team_its_success(tmp_path):
         leads = cards(store)[0]
         assert leads.answer == "blue@4 leads"
         assert leads.lines[0].startswith("blue@4 succeeds: 93.8 %")
+
+
+def test_of_many_opponents_the_page_lists_the_newest(place, monkeypatch):
+    def tables(store: Store) -> dict[str, int]:
+        parts = next(s for s in sections(Open(store)) if s.id == "opponents").parts
+        return {part.name: part.markup.count("<tr") - 1 for part in parts if isinstance(part, TableBlock)}
+
+    with filled(place) as store:
+        whole = tables(store)
+        assert sorted(whole.values()) == [4, 4]  # the present player and three snapshots
+        monkeypatch.setattr(league_page, "NEWEST", 2)
+        assert tables(store) == {f"{name}: the newest 2 of 4": 2 for name in whole}
