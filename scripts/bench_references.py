@@ -1,7 +1,7 @@
-"""The references of Robot League Bench: add policies to a task, and play all of a task's references against each other.
+"""The references of Robot League Bench: add policies to a task, and play its references against each other.
 
     python -m scripts.bench_references t1-sumo-rovers-v1 --add blue@16.safetensors --name happo-middle --stage middle
-    python -m scripts.bench_references t1-sumo-rovers-v1 --play 256   # writes the games, to which ratings are fitted
+    python -m scripts.bench_references t1-sumo-rovers-v1 --play 256   # plays pairs whose games are missing
 
 A change of a task's references changes their digest: entries that met the former ones have to be played again.
 """
@@ -18,8 +18,8 @@ from typing import Any
 from league.commands.cli import guarded
 from league.config import experiment
 from league.runs.bench import evaluation, references, tasks
-from league.runs.bench.games import bench_league
-from league.runs.bench.references import FOLDER, Reference, ReferenceSet
+from league.runs.bench.games import Row, bench_league
+from league.runs.bench.references import FOLDER, Reference
 from league.runs.bench.tasks import Task
 from league.snapshots import policy_file
 
@@ -37,7 +37,7 @@ def write(manifest: dict[str, Any]) -> None:
 
 
 def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | None, words: str) -> Reference:
-    """Copy an exported policy into the package and list it; games against the former references are no longer enough.
+    """Copy an exported policy into the package and list it; a former one of that name goes, with its games.
 
     Raises StorageError for a file without a policy.
     """
@@ -54,30 +54,33 @@ def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | No
     entry |= {"team": team} if team else {}
     manifest = listed()
     own = manifest["tasks"].setdefault(task.name, {"references": []})
+    if "rows" in own:
+        rows = json.loads((FOLDER / own["rows"]["file"]).read_text("utf-8"))
+        _write_rows(task, own, [row for row in rows if name not in (row["a"], row["b"])])
     own["references"] = [each for each in own["references"] if each["name"] != name] + [entry]
     write(manifest)
     return Reference(**entry)
 
 
+def _write_rows(task: Task, own: dict[str, Any], rows: Sequence[Row]) -> None:
+    """Write the games of a task's references beside the manifest, and their digest into its list."""
+    path = FOLDER / f"{task.name}.rows.json"
+    path.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n", "utf-8")
+    own["rows"] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
 def play(task: Task, games: int) -> int:
-    """Play each two references that can meet, write the rows, and return their number."""
+    """Play the pairs of references that can meet and have not, add their rows, and return the number of all rows."""
     known = references.of(task)
-    pairs = list(evaluation.missing(task, ReferenceSet(known.references, (), ""), known.references))
-    rows = []
+    pairs, rows = list(evaluation.missing(task, known, known.references)), [*known.rows]
     with bench_league(task, games) as league:
         evaluation.bring_in(league, known.references)
         league.make_room()
         for number, (a, b) in enumerate(pairs, 1):
             print(f"{number} of {len(pairs)}: {a} against {b}", file=sys.stderr)
             rows += league.play(a, b, games, task.seed)
-    path = FOLDER / f"{task.name}.rows.json"
-    path.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n", "utf-8")
     manifest = listed()
-    manifest["tasks"][task.name]["rows"] = {
-        "file": path.name,
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        "games": games,
-    }
+    _write_rows(task, manifest["tasks"][task.name], rows)
     write(manifest)
     return len(rows)
 
@@ -92,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked.add_argument("--stage", default="", choices=["", "early", "middle", "late"])
     asked.add_argument("--team", help="its side, where sides are unlike")
     asked.add_argument("--words", default="", help="its provenance (that of its file)")
-    asked.add_argument("--play", type=int, metavar="GAMES", help="games of each pair")
+    asked.add_argument("--play", type=int, metavar="GAMES", help="games of each pair that has none")
     options = asked.parse_args(argv)
     task = tasks.find(options.task)
     if options.add:
