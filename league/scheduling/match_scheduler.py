@@ -38,6 +38,8 @@ from storage.records import Job, Phase, Player, Snapshot
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
 PATIENCE = 120.0  # seconds of training
+FIRST_RATED = 64
+"""Iterations of the first snapshots that are rated where ratings end training: walking and pushing took 56 to 181."""
 FIRST_MATCH = 600.0  # seconds after the time for rating in which a league's first match is waited for
 CREDIT = 60.0  # seconds of training for which unused time for rating is kept; older time is forfeited
 
@@ -174,15 +176,17 @@ def next_matches(
 
 
 def _too_early(config: Config, state: LeagueState, progress: TrainingProgress) -> bool:
-    """Return whether training waits for a success rate that its own episodes have not reached.
+    """Return whether a batch would only delay the one that can end training, as each is paid for before the next.
 
-    A trial would then only delay the one that can end training, as batches are paid for one after the other. Success
-    in training ends episodes early, so its share of ended episodes is too high while it rises, rarely too low: after
-    PATIENCE seconds without a batch, trials are played anyway.
+    That is so while training waits for a success rate that its own episodes have not reached. Success in training ends
+    episodes early, so its share of ended episodes is too high while it rises, rarely too low: after PATIENCE seconds
+    without a batch, trials are played anyway. Where other ratings end training, the first batch waits for snapshots
+    that have learnt for FIRST_RATED iterations; for CREDIT seconds that postpones no later batch.
     """
     target = config.budget.success
     if target is None or not _waits_for_success(config):
-        return False
+        unpractised = all(s.iteration < FIRST_RATED for s in state.newest_snapshots)
+        return config.budget.by_rating and state.batches is None and progress.seconds < CREDIT and unpractised
     last = state.batches.due if state.batches is not None else 0.0
     return progress.seconds - last < PATIENCE and all(share < target for share in state.successes.values())
 

@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import warp
@@ -49,8 +50,8 @@ def start_builds(solvers: Sequence[Solver], processes: int) -> list[subprocess.P
             stderr=subprocess.DEVNULL, start_new_session=True,  # Ctrl-C is for the parent
         )  # fmt: skip
         assert process.stdin is not None
-        process.stdin.write(json.dumps(request).encode())
-        process.stdin.close()
+        with suppress(BrokenPipeError), process.stdin:  # one that has ended already builds nothing
+            process.stdin.write(json.dumps(request).encode())
         started.append(process)
     return started
 

@@ -358,8 +358,25 @@ def test_trials_wait_until_training_succeeds_as_often_as_the_stage_asks():
     assert dues_at(120.0, blue=0.5) == [60.0]  # patience is over, and credit is a minute
     assert dues_at(179.0, Batches(60.0, 5.0), blue=0.5) == []
     assert dues_at(179.0, Batches(60.0, 5.0), blue=0.9) == [119.0]
-    assert dues_at(30.0, budget=configuration.Budget(success=0.9, plateau=6), blue=0.5) == [0.0]
+    assert dues_at(60.0, budget=configuration.Budget(success=0.9, plateau=6), blue=0.5) == [0.0]
     assert dues_at(30.0, budget=configuration.Budget(reward=1.0), blue=0.5) == [0.0]
+
+
+@pytest.mark.parametrize("ends", [{"score": 0.8, "against": ("idle",)}, {"plateau": 6}])
+def test_the_first_batch_of_a_stage_that_ratings_end_waits_for_snapshots_that_could_end_it(ends):
+    config = replace(sharing(), budget=configuration.Budget(**ends))
+
+    def dues_at(seconds, iteration, batches=None, config=config):
+        frozen = [i for i in (0, 1, 2, 4, 8, 16, 32, 64) if i <= iteration]
+        state = under_way(seconds, batches, checkpoints=checkpoints(iteration, seconds), snapshots=snapshots(*frozen))
+        return dues(config, state)
+
+    assert dues_at(1.0, 1) == dues_at(20.0, 63) == dues_at(CREDIT - 0.1, 1) == []
+    assert dues_at(20.0, 64) == [0.0]  # the second batch is due as if the first had been played at once
+    assert dues_at(49.9, 200, Batches(0.0, 5.0)) == []
+    assert dues_at(50.0, 200, Batches(0.0, 5.0)) == dues_at(50.0, 32, Batches(0.0, 5.0)) == [50.0]
+    assert dues_at(CREDIT, 1) == [0.0]  # from now on waiting would cost time for rating
+    assert dues_at(1.0, 1, config=sharing()) == [0.0]  # where ratings end nothing, people read them
 
 
 def test_a_job_that_an_older_version_queued_is_still_understood():
