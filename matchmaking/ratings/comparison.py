@@ -23,8 +23,10 @@ The rule, for snapshots A and B:
 3. Otherwise it is unknown which is stronger.
 """
 
-import math
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from matchmaking.ratings.davidson import expected_score
 from matchmaking.ratings.fit import ELO
@@ -55,10 +57,25 @@ def compare_snapshots(ladder: Ladder, a: str, b: str, direct: bool = True) -> Co
     Without `direct` the fit decides, whatever games the two have played. Raises ValueError for a name that is not on
     the ladder.
     """
+    return compare_pairs(ladder, [(a, b)], direct)[0]
+
+
+def compare_pairs(ladder: Ladder, pairs: Sequence[tuple[str, str]], direct: bool = True) -> list[Comparison]:
+    """Return the comparison of each pair, as `compare_snapshots` does; of many snapshots faster than one by one."""
+    if not pairs:
+        return []
     ratings = ladder.ratings
-    i, j = ratings.index(a), ratings.index(b)
-    score, gap = ladder.score(a, b), float(ratings.strength[i] - ratings.strength[j])
-    error = quantile(0.95) * math.sqrt(_variance(ladder, i, j))
+    first, second = ([ratings.index(pair[k]) for pair in pairs] for k in (0, 1))
+    gaps = ratings.strength[first] - ratings.strength[second]
+    errors = quantile(0.95) * np.sqrt(_variances(ladder, first, second))
+    return [
+        _comparison(ladder, *pair, float(gap), float(error), direct)
+        for pair, gap, error in zip(pairs, gaps, errors, strict=True)
+    ]
+
+
+def _comparison(ladder: Ladder, a: str, b: str, gap: float, error: float, direct: bool) -> Comparison:
+    score = ladder.score(a, b)
     direct = direct and score.games >= MIN_DIRECT_GAMES
     ahead = score.score >= 0.5 if direct else gap >= 0
     if not ahead:
@@ -67,14 +84,16 @@ def compare_snapshots(ladder: Ladder, a: str, b: str, direct: bool = True) -> Co
     return Comparison(a, b, sure, direct, score, gap, error)
 
 
-def _variance(ladder: Ladder, i: int, j: int) -> float:
-    """Return the variance in Elo² of the gap between two snapshots that the fit predicts; see the module."""
+def _variances(ladder: Ladder, first: Sequence[int], second: Sequence[int]) -> np.ndarray:
+    """Return the variances (K,) in Elo² of K gaps between two snapshots each that the fit predicts; see the module."""
     payoff, ratings, misfit = ladder.payoff, ladder.ratings, CYCLIC_ELO**2 / 2
     gaps = ratings.strength[payoff.first] - ratings.strength[payoff.second]
     ahead, behind = (expected_score((sign * gaps + ratings.side_advantage) / ELO, ratings.draw) for sign in (1, -1))
     chance = (ahead + 1 - behind) / 2
     games = payoff.home.sum(1) + payoff.away.sum(1)
     information = games * chance * (1 - chance) / ELO**2
-    contrast = ratings.covariances(i) - ratings.covariances(j)
-    errors = misfit * (information * (contrast[payoff.first] - contrast[payoff.second])) ** 2
-    return float(contrast[i] - contrast[j] + errors.sum() + misfit)
+    found = []
+    for i, j, with_gap in zip(first, second, ratings.covariances_with_gaps(first, second).T, strict=True):
+        errors = misfit * (information * (with_gap[payoff.first] - with_gap[payoff.second])) ** 2
+        found.append(with_gap[i] - with_gap[j] + errors.sum() + misfit)
+    return np.array(found)

@@ -41,13 +41,17 @@ class StrengthCovariance:
         self._problem, self._x, self._terms = problem, x, terms
         self._dispersion, self._anchor = dispersion, anchor
 
-    def row(self, i: int) -> np.ndarray:
-        """Return covariances (P,) of i's strength with all strengths."""
+    def with_gaps(self, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
+        """Return covariances (P, K) of all strengths with K gaps, each between a snapshot ahead and one behind (K,)."""
+        P, gaps = len(self._anchor), np.arange(len(ahead))
         if self._is_small:
-            return self.whole[i, : len(self._anchor)]
-        contrast = self._padded(-self._anchor)
-        contrast[i] += 1
-        return self._times(contrast)[: len(self._anchor)]
+            return self.whole[:P, ahead] - self.whole[:P, behind]
+        contrasts = np.zeros((len(self._x), len(gaps)))
+        contrasts[ahead, gaps] += 1
+        contrasts[behind, gaps] -= 1
+        through = [self.solve(self.dispersed_information.times(self.solve(some))) for some in _some(contrasts)]
+        found = np.concatenate(through, 1)[:P]
+        return found - self._anchor @ found
 
     def block(self, places: np.ndarray) -> np.ndarray:
         """Return covariances (K, K) of some strengths with each other, by their indices (K,)."""

@@ -49,14 +49,14 @@ def both() -> tuple[Ratings, Ratings]:
             _ = (
                 ratings.stderr,
                 ratings.side_stderr,
-                ratings.strength_covariance.row(7),
+                ratings.strength_covariance.with_gaps(np.array([7]), np.array([9])),
                 ratings.strength_covariance.of_sum(contrast(400)),
             )
             found.append(
                 (
                     ratings,
                     ratings.covariances_of([3, 200, 399]),
-                    ratings.covariances(7),
+                    ratings.covariances_with_gaps([7, 40, 3], [9, 41, 399]),
                     ratings.variance_of_gap(5, 300),
                 )
             )

@@ -202,13 +202,13 @@ def test_many_players_are_rated_alike_in_a_table_and_by_pairs(monkeypatch):
     names = tuple(f"{i:02d}" for i in range(40))
     payoff = rankings_payoff(names, events(*random_games(rng, 400, 40, 5)))
     dense = fit(payoff, prior=priors.average(2.0))
-    wide = (dense.elo.copy(), dense.stderr.copy(), dense.covariances(7).copy())
+    wide = (dense.elo.copy(), dense.stderr.copy(), dense.covariances_with_gaps([7], [9]).copy())
     for module, name in ((penalised, "MAX_DENSE_FIT"), (information, "MAX_DENSE"), (covariance, "MAX_DENSE")):
         monkeypatch.setattr(module, name, 4)
     monkeypatch.setattr(PlackettLuce, "is_dense", False)
     sparse = fit(payoff, prior=priors.average(2.0))
     assert sparse.elo == pytest.approx(wide[0], abs=1e-4)
-    assert sparse.covariances(7) == pytest.approx(wide[2], rel=1e-4, abs=1e-3)
+    assert sparse.covariances_with_gaps([7], [9]) == pytest.approx(wide[2], rel=1e-4, abs=1e-3)
     assert sparse.stderr == pytest.approx(wide[1], rel=0.15)
 
 
