@@ -42,6 +42,7 @@ def gpu(monkeypatch):
     if not warp._src.context.runtime.core.wp_is_mathdx_enabled():
         pytest.skip("this build of Warp has no libmathdx")
     monkeypatch.setattr(preparation, "_compilations", {})
+    monkeypatch.setattr(warp.config, "optimization_level", None)  # the default: NVRTC refuses the tests' level 0
     return Gpu()
 
 
