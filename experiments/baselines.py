@@ -91,7 +91,7 @@ PATIENCE = 5.0
 
 @dataclass(frozen=True)
 class Start:
-    """What all methods of a task have in common: the preset whose learner and training they take, and differences.
+    """Settings that all methods of a task share: the preset whose learner and training they take, and differences.
 
     `after` are policies that come with the package, from which players start.
     """

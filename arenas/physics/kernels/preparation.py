@@ -173,8 +173,7 @@ def _solvers(binary: Binary, device: Any) -> list[tile_solvers.Solver]:
 
 def _compile(module: Any, block_dim: int, device: Any, waits_for: Sequence[Popen[bytes]]) -> None:
     """Compile a binary into Warp's cache after the end of these processes."""
-    for process in waits_for:
-        process.wait()
+    tile_solvers.await_builds(waits_for)
     module._compile(device, options=_options((module, block_dim)))
 
 

@@ -19,6 +19,9 @@ from typing import Any
 import warp
 from warp._src import build
 
+LONGEST = 120.0
+"""Seconds in which a process has built its solvers, each of which takes some two seconds."""
+
 Solver = dict[str, Any]  # arguments of Warp's `build_lto_solver`, all but its builder
 
 
@@ -54,6 +57,16 @@ def start_builds(solvers: Sequence[Solver], processes: int) -> list[subprocess.P
             process.stdin.write(json.dumps(request).encode())
         started.append(process)
     return started
+
+
+def await_builds(builds: Sequence[subprocess.Popen[bytes]]) -> None:
+    """Wait for processes that build; one that hangs for `LONGEST` seconds is ended, and Warp builds its solvers."""
+    for process in builds:
+        try:
+            process.wait(LONGEST)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class _Parts:

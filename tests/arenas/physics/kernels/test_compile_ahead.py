@@ -71,9 +71,12 @@ def test_processes_build_the_solvers_that_kernels_link(gpu, tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_warp_builds_a_solver_that_no_process_could_build(gpu, tmp_path, monkeypatch):
+@pytest.mark.parametrize("instead", ["raise SystemExit(1)", "import time; time.sleep(1e6)"])
+def test_warp_builds_a_solver_that_no_process_could_build(gpu, tmp_path, monkeypatch, instead):
+    (script := tmp_path / "script.py").write_text(instead)
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path))
-    monkeypatch.setattr(preparation.tile_solvers, "__file__", str(tmp_path / "none.py"))
+    monkeypatch.setattr(preparation.tile_solvers, "__file__", str(script))
+    monkeypatch.setattr(preparation.tile_solvers, "LONGEST", 1.0)
     preparation.compile_ahead([(solving_kernel().module, 32)], gpu)
     (compilation,) = preparation._compilations.values()
     assert compilation.exception() is None
