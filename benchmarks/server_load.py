@@ -77,7 +77,8 @@ def window(place: tuple[str, str], direct: str, workers: int, seconds: float, pa
     after = counted(direct)
     claims, finishes = ([ms for each in took for ms in each[i]] for i in (0, 1))
     return {
-        "jobs_per_second": round(len(finishes) / seconds, 1), "claim_ms": quantiles(claims),
+        "jobs_per_second": round(len(finishes) / seconds, 1),
+        "claims_per_second": round(len(claims) / seconds, 1), "claim_ms": quantiles(claims),
         "finish_ms": quantiles(finishes),
         "pages_per_job": round((after["pages"] - before["pages"]) / len(finishes), 1),
         "dead_rows": {name: after[name] for name in ("jobs", "leagues")}, "load_average": load(),
@@ -85,8 +86,9 @@ def window(place: tuple[str, str], direct: str, workers: int, seconds: float, pa
 
 
 def quantiles(values: list[float]) -> dict[str, float]:
-    """Return the median, the 99 % quantile and the maximum."""
-    return {name: round(float(np.quantile(values, q)), 1) for name, q in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
+    """Return the median, the 95 % and the 99 % quantile, and the maximum."""
+    of = {"p50": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
+    return {name: round(float(np.quantile(values, q)), 1) for name, q in of.items()}
 
 
 def counted(url: str) -> dict[str, int]:

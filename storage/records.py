@@ -4,6 +4,7 @@ Times are in seconds since the epoch on the database's clock. Digests are SHA-25
 players and snapshots are identified by name. A snapshot's digest identifies its bytes; two snapshots may share bytes.
 """
 
+from array import array
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -225,6 +226,16 @@ class RankedMatch:
 def competition_ranks(order: Sequence[float]) -> tuple[int, ...]:
     """Return standard competition ranks, from 1, of places: the smallest is first, and equal ones are a tie."""
     return tuple(1 + sum(other < each for other in order) for each in order)
+
+
+class CurveColumns(NamedTuple):
+    """A player's learning curve in columns, by iteration; nan where a metric was not recorded."""
+
+    iterations: "array[int]"
+    steps: "array[int]"
+    seconds: "array[float]"
+    values: "Mapping[str, array[float]]"  # of the metrics that were asked for
+    recorded: set[str]  # names of all metrics in the curve
 
 
 class LineupTotals(NamedTuple):

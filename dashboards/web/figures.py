@@ -129,20 +129,17 @@ def mixture(opponents: Rows) -> Figure:
     return _figure([bars], "probability", "", 110 + 20 * len(names), yaxis=axis, showlegend=False)
 
 
-def curves(points: Rows, key: str, title: str, over: str = "steps", across: str = "training steps") -> Figure:
+def curves(lines: Mapping[str, Sequence[tuple[float, float]]], title: str, across: str = "training steps") -> Figure:
     """Return a recorded metric of learning over steps, a line for each player.
 
     Args:
-        points: one for each iteration, in order, with `player`, `over`, and `key` where it was recorded.
-        key: the metric.
+        lines: by player, points in order: place on the horizontal axis, and the metric.
         title: the metric's name on the page.
-        over: the key of the horizontal axis.
         across: the title of the horizontal axis.
     """
     traces = []
-    for owner, style in _styles(point["player"] for point in points).items():
-        own = [(p[over], p[key]) for p in points if p["player"] == owner and p.get(key) is not None]
-        x, y = thinned(own)
+    for owner, style in _styles(lines).items():
+        x, y = thinned(lines.get(owner or "", ()))
         traces.append({"type": "scatter", "mode": "lines", "name": owner, "x": x, "y": y, "line": style})
     return _figure(traces, across, title, 320)
 

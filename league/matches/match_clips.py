@@ -15,6 +15,7 @@ from league.queries.match_players import players_of
 from league.queries.query import Open
 from league.queries.recordings import describe_match, highlights, load, recorded
 from league.system.environment import cache_folder
+from matchmaking.ratings.ladder import Ladder
 from storage.errors import StorageError
 from storage.recordings.recording import Recording
 from storage.records import Match, RankedMatch
@@ -38,17 +39,20 @@ def kept_clips() -> Clips:
     return Clips(cache_folder() / "clips")
 
 
-def make_clips(opened: Open, most: int, progress: Progress = lambda done, total: None) -> list[ShownClip]:
+def make_clips(
+    opened: Open, most: int, progress: Progress = lambda done, total: None, ladder: Ladder | None = None
+) -> list[ShownClip]:
     """Return clips of up to `most` matches, the newest first; make those that are not kept yet.
 
-    A match whose recording cannot be read is left out. Raises ViewerError without ffmpeg or Pillow; StorageError if
+    `ladder`, that of the newest rating matches, saves reading if the caller has it already. A match whose recording
+    cannot be read is left out. Raises ViewerError without ffmpeg or Pillow; StorageError if
     nothing was recorded, or if the clips cannot be written.
     """
-    return list(_clips(opened, most, progress))
+    return list(_clips(opened, most, progress, ladder))
 
 
-def _clips(opened: Open, most: int, progress: Progress) -> Iterator[ShownClip]:
-    for kind, match in highlights(opened, most):
+def _clips(opened: Open, most: int, progress: Progress, ladder: Ladder | None = None) -> Iterator[ShownClip]:
+    for kind, match in highlights(opened, most, ladder):
         try:
             recording, _ = load(opened, match)
             players = players_of(opened, match, recording.header.sides)

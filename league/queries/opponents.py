@@ -34,10 +34,14 @@ def explained(opened: Open, name: str) -> dict[str, Any]:
     return explain_opponents(role, state, player, seed) | {"population": copies}
 
 
-def explain_opponents(role: Role, state: LeagueState, player: Player, seed: int = 1) -> dict[str, Any]:
+def explain_opponents(
+    role: Role, state: LeagueState, player: Player, seed: int = 1, most: int | None = None
+) -> dict[str, Any]:
     """Return a player's opponents by team, with their probabilities in its next turn, as plain values for JSON.
 
-    `role` has the rule for opponents; `seed` is the league's and decides whether the player was reset.
+    `role` has the rule for opponents; `seed` is the league's and decides whether the player was reset. With `most`,
+    only so many of the newest opponents of a team are in `opponents`, the others in `older`, with nothing but their
+    probabilities: looking up what is known of each takes long where many players may meet many snapshots.
     """
     rule = role.opponents or Opponents()
     reset = role.last_reset(seed, player.name, state.history(player.name))
@@ -50,7 +54,11 @@ def explain_opponents(role: Role, state: LeagueState, player: Player, seed: int 
     teams = []
     for team in others:
         at = opponent_distribution(rule, state, player, team, seats.get(team, ""), role, since)
-        teams.append({"team": team, "why": at.mixture.why, "reads": at.quantity, "opponents": _rows(at, known, drawn)})
+        rows, older = _rows(at, known, drawn, most)
+        teams.append(
+            {"team": team, "why": at.mixture.why, "reads": at.quantity, "opponents": rows}
+            | ({} if most is None else {"older": older})
+        )
     learns = phase is None or player.name in phase.learners
     return {
         "player": player.name, "role": role.name, "kind": rule.kind, "share": drawn,
@@ -59,14 +67,19 @@ def explain_opponents(role: Role, state: LeagueState, player: Player, seed: int 
     }  # fmt: skip
 
 
-def _rows(at: OpponentDistribution, known: WinRecords, drawn: float) -> list[dict[str, Any]]:
-    """Return a row for the present opponent and a row for each snapshot, newest first."""
+def _rows(
+    at: OpponentDistribution, known: WinRecords, drawn: float, most: int | None
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return a row for the present opponent and a row for each snapshot, newest first; those after `most` are brief."""
     chances = at.mixture.weights * drawn
     chances[-1] += 1 - drawn
     rows = [_row(known, at.opponent, chances[-1], None) | {"present": True}] if at.opponent else []
-    for i in reversed(range(len(at.names))):
+    whole = len(at.names) if most is None else min(len(at.names), most - len(rows))
+    older = len(at.names) - whole
+    for i in reversed(range(older, len(at.names))):
         rows.append(_row(known, at.names[i], chances[i], None if at.read is None else float(at.read[i])))
-    return rows
+    brief = zip(reversed(at.names[:older]), reversed(chances[:older].tolist()), strict=True)
+    return rows, [{"opponent": name, "present": False, "probability": chance} for name, chance in brief]
 
 
 def _row(known: WinRecords, name: str, chance: float, read: float | None) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 
 from league.queries.query import Open
 from league.state.match_results import results_of
@@ -12,8 +13,12 @@ from matchmaking.ratings.ladder import Ladder
 from storage.errors import DamagedBlob, StorageError, Unavailable, UnknownName
 from storage.recordings.recording import Recording, RecordingError, RecordingHeader, from_bytes, headers
 from storage.recordings.salvage import salvage
-from storage.records import Match, RankedMatch
+from storage.records import ArenaKey, Match, RankedMatch
 
+Rated = Callable[[ArenaKey], Ladder]
+"""Function from a key to its ladder."""
+NEWEST = 10_000
+"""Number of recorded matches among which a page chooses: an old league has as many as its log has rows."""
 NEAR = 5  # most numbers of other matches in the message about an unknown match
 
 
@@ -40,25 +45,29 @@ def chosen(opened: Open, query: RecordingQuery) -> Match | RankedMatch:
     """Return the requested match. Raises StorageError, one line, if there is none of that kind."""
     if query.match is not None:
         return _numbered(opened, query.match)
-    return _select(opened, recorded(opened), query)
+    return _select(opened, recorded(opened), query, opened.ladder)
 
 
-def highlights(opened: Open, most: int) -> list[tuple[str, Match | RankedMatch]]:
+def highlights(opened: Open, most: int, ladder: Ladder | None = None) -> list[tuple[str, Match | RankedMatch]]:
     """Return up to `most` recorded matches, none twice, each with its kind of HIGHLIGHTS; the newest comes first.
 
+    They are chosen among the `NEWEST` recorded ones. `ladder` saves reading if the caller has the newest already.
     Raises StorageError if there is none.
     """
-    matches, found = recorded(opened), dict[int, tuple[str, Match | RankedMatch]]()
+    matches, found = recorded(opened, NEWEST), dict[int, tuple[str, Match | RankedMatch]]()
+    rated = cache(lambda key: ladder if ladder is not None and ladder.arena == key else opened.ladder(key))
     for kind, query in HIGHLIGHTS.items():
         if len(found) >= most:
             break
         with suppress(StorageError):  # none of that kind
-            match = _select(opened, matches, query)
+            match = _select(opened, matches, query, rated)
             found.setdefault(match.id, (kind, match))
     return list(found.values())
 
 
-def _select(opened: Open, matches: list[Match | RankedMatch], query: RecordingQuery) -> Match | RankedMatch:
+def _select(
+    opened: Open, matches: list[Match | RankedMatch], query: RecordingQuery, rated: Rated
+) -> Match | RankedMatch:
     found = _among(opened, matches, query)
     if not (query.upset or query.best or query.closest):
         return found[-1] if query.between else _newest(opened, found)
@@ -67,12 +76,12 @@ def _select(opened: Open, matches: list[Match | RankedMatch], query: RecordingQu
         raise StorageError("Nothing but training was recorded here: `league play` records a match of snapshots.")
     if query.closest:
         return _closest(found)
-    return _upset(opened, found) if query.upset else _best(opened, found)
+    return _upset(opened, found, rated) if query.upset else _best(opened, found, rated)
 
 
-def recorded(opened: Open) -> list[Match | RankedMatch]:
-    """Return all recorded matches, oldest first. Raises StorageError if there is none."""
-    found = [m for m in opened.store.log(opened.league) if m.recording is not None]
+def recorded(opened: Open, newest: int | None = None) -> list[Match | RankedMatch]:
+    """Return all recorded matches, or so many of the newest, oldest first. Raises StorageError if there is none."""
+    found = opened.store.log(opened.league, recorded=True, newest=newest)
     if not found:
         raise StorageError(
             f"League {opened.league} has no recorded match yet: `league run` plays and records some, except in games"
@@ -86,8 +95,8 @@ def following(opened: Open, poll: float = 1.0) -> Iterator[Match | RankedMatch]:
     last: int | None = None
     while True:
         with suppress(Unavailable):
-            new = [m for m in opened.store.log(opened.league, after=last or 0) if m.recording is not None]
-            for match in new if last is not None else new[-1:]:
+            new = opened.store.log(opened.league, after=last or 0, recorded=True, newest=1 if last is None else None)
+            for match in new:
                 last = match.id
                 yield match
             last = last or 0
@@ -122,16 +131,16 @@ def describe_match(match: Match | RankedMatch, recording: Recording) -> str:
 
 
 def _numbered(opened: Open, number: int) -> Match | RankedMatch:
-    matches = opened.store.log(opened.league)
-    found = next((m for m in matches if m.id == number), None)
+    found = next(iter(opened.store.log(opened.league, number=number)), None)
     if found is not None and found.recording is not None:
         return found
-    near = sorted(sorted(m.id for m in matches if m.recording is not None), key=lambda id: abs(id - number))[:NEAR]
-    there = ", ".join(map(str, sorted(near)))
+    there = [m.id for m in opened.store.log(opened.league, recorded=True)]
+    near = sorted(there, key=lambda id: abs(id - number))[:NEAR]
+    listed = ", ".join(map(str, sorted(near)))
     what = f"Match {number} was not recorded"
     if found is None:
         what = f"There is no match {number} in league {opened.league}"
-    raise StorageError(f"{what}; recorded near it: {there or 'none'}. `league matches` lists all.")
+    raise StorageError(f"{what}; recorded near it: {listed or 'none'}. `league matches` lists all.")
 
 
 def _among(opened: Open, matches: list[Match | RankedMatch], query: RecordingQuery) -> list[Match | RankedMatch]:
@@ -179,10 +188,10 @@ def _closest(matches: Sequence[Match | RankedMatch]) -> Match:
     return min(rivals, key=lambda m: (abs(m.wins - m.losses) / m.episodes, -m.id))
 
 
-def _best(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | RankedMatch:
+def _best(opened: Open, matches: Sequence[Match | RankedMatch], rated: Rated) -> Match | RankedMatch:
     """Return the match whose weaker side has the best present rating, the newest of equals, in the newest arena."""
     key = matches[-1].arena  # Elo of two ladders cannot be compared
-    ladder = opened.ladder(key)
+    ladder = rated(key)
     strength, learnt = (
         _strength(ladder),
         {s.name for s in opened.store.snapshots(opened.league, brief=True) if s.player},
@@ -194,10 +203,10 @@ def _best(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | Ranke
     return max((m for m in matches if m.arena == key), key=interest)
 
 
-def _upset(opened: Open, matches: Sequence[Match | RankedMatch]) -> Match | RankedMatch:
+def _upset(opened: Open, matches: Sequence[Match | RankedMatch], rated: Rated) -> Match | RankedMatch:
     """Return the recorded match whose winner was rated furthest below another, by the ratings known now."""
     key = matches[-1].arena
-    ladder = opened.ladder(key)
+    ladder = rated(key)
     strength = _strength(ladder)
 
     def gap(match: Match | RankedMatch) -> float:

@@ -7,7 +7,7 @@ from league.queries import recordings
 from league.queries.league_status import gather_status
 from league.queries.match_players import players_of
 from league.queries.opponents import explained
-from league.queries.query import Open, choose, match_rows
+from league.queries.query import Open, match_rows
 from league.queries.ratings.metagame import table
 from league.runs.episode import Episode
 from storage.errors import StorageError
@@ -55,9 +55,8 @@ class OpenLeague(Open):
         """
         import pandas as pd
 
-        ladder = self.ladder(choose(self.ladders(), arena, engine))
-        snapshots, players = self.store.snapshots(self.league, brief=True), self.store.players(self.league)
-        found = table(ladder, snapshots, players, rows, columns, newest)
+        shown = self.shown(arena, engine)
+        found = table(shown.ladders[0], shown.snapshots, shown.players, rows, columns, newest)
         down, across = pd.Index(found.rows, name="row"), pd.Index(found.columns)
         return Payoff(pd.DataFrame(found.scores, down, across), pd.DataFrame(found.games, down, across))
 
@@ -79,7 +78,7 @@ class OpenLeague(Open):
         """Return the matches that were recorded, as rows of `matches()`; empty if there is none."""
         import pandas as pd
 
-        return pd.DataFrame(match_rows(m for m in self.store.log(self.league) if m.recording is not None))
+        return pd.DataFrame(match_rows(self.store.log(self.league, recorded=True)))
 
     def recording(self, match: int | None = None, episode: int = 0, **wish: Any) -> Episode:
         """Return a recorded episode: of a match by its number, else of the newest match.

@@ -85,7 +85,7 @@ def about(league: Open, snapshot: Snapshot, agents: list[dict[str, Any]]) -> dic
 
 def ladders(league: Open, snapshot: Snapshot) -> list[Ladder]:
     """Return the ladders on which a snapshot has played, the one with the newest matches first."""
-    found = map(league.ladder, league.ladders())
+    found = league.shown(all=True).ladders
     return [each for each in found if each.payoff.played[each.payoff.index(snapshot.name)] or _tried(each, snapshot)]
 
 

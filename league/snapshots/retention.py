@@ -61,10 +61,10 @@ def _first_after(history: Sequence[Snapshot], marks: Iterable[float]) -> set[str
 def _best(opened: Open) -> set[str]:
     """Return for each ladder each player's best snapshot, by the lower end of its interval."""
     found: set[str] = set()
-    snapshots = opened.store.snapshots(opened.league, brief=True)
-    for key in opened.ladders():
-        ladder, best = opened.ladder(key), dict[str, tuple[float, str]]()
-        for s in snapshots:
+    shown = opened.shown(all=True)
+    for ladder in shown.ladders:
+        best = dict[str, tuple[float, str]]()
+        for s in shown.snapshots:
             if s.player is None or s.thinned is not None:
                 continue
             if ladder.one_team:

@@ -105,11 +105,13 @@ class Database:
             return [record_from(record, row) for row in db.execute(query)]
 
     def records_in(
-        self, db: sa.Connection, record: type[R], table: sa.Table, *where: Any, order: Sequence[Any]
-    ) -> list[R]:
+        self, db: sa.Connection, record: type[R], table: sa.Table, *where: Any, order: Sequence[Any],
+        limit: int | None = None,
+    ) -> list[R]:  # fmt: skip
         """Return records as `records` does, as a step of the caller's transaction."""
+        query = _all(record, table).where(*where).order_by(*order).limit(limit)
         with _checked_rows(self.where, table.name), paused_garbage_collection():
-            return [record_from(record, row) for row in db.execute(_all(record, table).where(*where).order_by(*order))]
+            return [record_from(record, row) for row in db.execute(query)]
 
     def newest(
         self, record: type[R], table: sa.Table, league: str, of_each: sa.Column[Any], order: tuple[Any, ...]

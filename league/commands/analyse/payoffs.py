@@ -14,7 +14,6 @@ from dashboards.text import wrapped
 from league.commands.analyse import csv_matrix
 from league.commands.options import Listing, Where, parse, positional
 from league.config.schema import ConfigError
-from league.queries.query import choose
 from league.queries.ratings.metagame import Table, sides_of, table
 from league.queries.ratings.metagame import forgetting as kept_and_forgotten
 from league.queries.ratings.payoff_csv import lines
@@ -186,8 +185,8 @@ def forgetting(args: list[str]) -> int:
         Listing, args, "forgetting", "Each player's newest rated snapshot against its own 3 and 10 back; ! is an alarm."
     )
     with options.open() as opened:
-        snapshots, players = opened.store.snapshots(opened.league, brief=True), opened.store.players(opened.league)
-        found = kept_and_forgotten(opened.ladder(choose(opened.ladders())), snapshots, players)
+        shown = opened.shown()
+        found = kept_and_forgotten(shown.ladders[0], shown.snapshots, shown.players)
     rows = [
         {
             "player": each.player, "snapshot": each.snapshot, "back": each.back, "against": each.older,
@@ -226,9 +225,9 @@ def _solved(options: MetaOptions, payoffs: np.ndarray) -> Equilibrium:
 def _print_all(options: PayoffOptions) -> int:
     """Print every row and every column as CSV."""
     with options.open() as opened:
-        ladder = opened.ladder(choose(opened.ladders(), options.arena, options.engine))
-        snapshots, players = opened.store.snapshots(opened.league, brief=True), opened.store.players(opened.league)
-        named = sides_of(ladder, snapshots, players, options.rows, options.columns, options.newest)
+        shown = opened.shown(options.arena, options.engine)
+    ladder, snapshots, players = shown.ladders[0], shown.snapshots, shown.players
+    named = sides_of(ladder, snapshots, players, options.rows, options.columns, options.newest)
     for line in lines(ladder, *named):
         print(line)
     return 0
@@ -238,9 +237,9 @@ def _league(
     options: PayoffOptions | MetaOptions, rows: str | None, columns: str | None, newest: bool = False
 ) -> tuple[Table, Ladder, list[Snapshot]]:
     with options.open() as opened:
-        ladder = opened.ladder(choose(opened.ladders(), options.arena, options.engine))
-        snapshots, players = opened.store.snapshots(opened.league, brief=True), opened.store.players(opened.league)
-        return table(ladder, snapshots, players, rows, columns, newest), ladder, snapshots
+        shown = opened.shown(options.arena, options.engine)
+    ladder, snapshots = shown.ladders[0], shown.snapshots
+    return table(ladder, snapshots, shown.players, rows, columns, newest), ladder, snapshots
 
 
 def _about(found: Table) -> dict[str, Any]:

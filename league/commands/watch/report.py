@@ -11,6 +11,8 @@ from league.commands.progress_bar import Progress
 from league.commands.watch.page_options import PageOptions
 from league.config.schema import ConfigError
 from league.queries.query import Open
+from league.state.league_state import LeagueState
+from matchmaking.ratings.ladder import Ladder
 from storage.blobs.files import new_file
 from storage.errors import StorageError
 
@@ -39,15 +41,16 @@ def report(args: list[str]) -> int:
     with options.open() as opened:
         script("plotly.js")  # its absence is told before films are made
         with new_file(path) as file:
-            films = _films(opened, options.films)
-            text = document(page(opened, films=films)).encode()
+            state = LeagueState.of(opened.store, opened.league)
+            films = _films(opened, options.films, state.ladder)
+            text = document(page(opened, films=films, state=state)).encode()
             file.write(text)
     missing = "" if films[0].source else f" {films[0].caption}"
     print(f"Wrote {path} ({len(text):,} bytes): any browser opens it, and it needs nothing else.{missing}")
     return 0
 
 
-def _films(opened: Open, most: int) -> "list[FilmBlock]":
+def _films(opened: Open, most: int, ladder: Ladder) -> "list[FilmBlock]":
     """Return films that need no file; or one without a film, whose caption says why there is none."""
     from dashboards.web.document import FilmBlock
     from league.matches.match_clips import make_clips
@@ -56,7 +59,7 @@ def _films(opened: Open, most: int) -> "list[FilmBlock]":
         return [FilmBlock("Films were left out by --films 0.")]
     try:
         with Progress("league report") as progress:
-            made = make_clips(opened, most, partial(progress.tell, "pictures of a film"))
+            made = make_clips(opened, most, partial(progress.tell, "pictures of a film"), ladder)
     except ViewerError as error:
         return [FilmBlock(f"No films: {error}.")]
     except StorageError as error:

@@ -5,7 +5,6 @@ The page has the same data as the commands `ratings`, `payoff`, `explain`, `curv
 """
 
 import hashlib
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -16,9 +15,10 @@ from league.config.schema import ConfigError
 from league.queries.columns import CURVES, NEWEST, PLAYERS, WORKERS
 from league.queries.league_status import LeagueStatus, gather_status
 from league.queries.opponents import explain_opponents, mark_present, opponent_columns
+from league.queries.page.learning_curves import DRAWN, SPEED, LearningCurves
 from league.queries.page.match_tables import newest_matches, pair_table, played
 from league.queries.page.overview import Facts, overview
-from league.queries.query import Open, Shown, curve_rows, snapshot_rows
+from league.queries.query import Open, Shown, snapshot_rows
 from league.queries.ratings.ladder_tables import ISLAND, LADDER, TRIED, for_people, notes_on, title_of
 from league.queries.ratings.metagame import table as payoff_table
 from league.queries.ratings.rating_rows import VOID_NOTE, Row, rating_rows, side_text, unlike_sides, when
@@ -29,17 +29,14 @@ from league.state.liveness import leader, processes
 from storage.errors import StorageError
 from storage.records import Player
 
-DRAWN = {
-    "score": "score in training", "reward": "reward per step", "length": "steps per episode", "entropy": "entropy",
-    "explained_variance": "explained variance of the critic",
-}  # fmt: skip
-"""Metrics of learning that are plotted if they were recorded."""
 NO_FILMS = (FilmBlock("No film is made here: `league dash` and `league report` make some."),)
 STEPS = Column("steps")
 LINEAGE = (
     Column("name", "snapshot", no_wrap=True), Column("parent", "goes on from", no_wrap=True), "player", "origin",
     "iteration", "steps", Column("digest", no_wrap=True),
 )  # fmt: skip
+LISTED = 500
+"""Maximum number of rows of a table of snapshots: nobody reads ten thousand, and a command has all."""
 SHORT = 12  # hexadecimal digits of a digest that tell snapshots apart
 
 
@@ -50,21 +47,27 @@ def version(opened: Open) -> str:
     return f"{opened.league}:{opened.store.revision(opened.league)}:{digest[:SHORT]}"
 
 
-def page(opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = NO_FILMS) -> Page:
+def page(
+    opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = NO_FILMS, state: LeagueState | None = None
+) -> Page:
     """Return the current page of a league; matches link to their server's pages, at `link_prefix` and their number.
 
-    The first of the `films` is shown in the overview, the others beside the matches.
+    The first of the `films` is shown in the overview, the others beside the matches. `state` saves reading if the
+    caller has the league's state already.
     """
-    state = version(opened)  # first, so that a change during the reading leads to another reading
-    found = sections(opened, link_prefix, films)
-    return Page(f"League {opened.league}", f"Robot League, {opened.store.where}", found, state)
+    now = version(opened)  # first, so that a change during the reading leads to another reading
+    found = sections(opened, link_prefix, films, state)
+    return Page(f"League {opened.league}", f"Robot League, {opened.store.where}", found, now)
 
 
-def sections(opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = NO_FILMS) -> list[Section]:
+def sections(
+    opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = NO_FILMS, state: LeagueState | None = None
+) -> list[Section]:
     """Return all sections about a league, in the order of the page."""
-    shown, state = opened.shown(), LeagueState.of(opened.store, opened.league)
+    state = state or LeagueState.of(opened.store, opened.league)
+    shown = Shown(state.arena, [state.ladder], [], list(state.snapshots), list(state.players), opened.void_limit())
     status = gather_status(opened, True, state)
-    points = curve_rows(sorted(opened.points(), key=lambda p: (p.iteration, p.player)))
+    curves = LearningCurves.of(opened)
     steps = {s.name: s.step for s in shown.snapshots if s.player}
     rows = [
         {**row, "steps": steps.get(row["name"])}
@@ -72,15 +75,15 @@ def sections(opened: Open, link_prefix: str = "", films: Sequence[FilmBlock] = N
     ]
     total = opened.store.last_match(opened.league)
     newest = played(opened.store.log(opened.league, after=total - NEWEST), link_prefix)
-    first = overview(Facts(opened, shown, state, status, rows, points), films[0])
+    first = overview(Facts(opened, shown, state, status, rows, curves), films[0])
     found: dict[tuple[str, str, str], Iterable[Part]] = {
         ("now", "Who learns now", "Players"): _schedule(status, opened.store.now()),
         ("ladder", "Ladder", ""): _ladder(rows, shown),
         ("ratings", "Ratings over training", "Ratings"): _ratings(rows, shown),
         ("payoff", "Payoff", ""): _payoff(shown, opened, link_prefix),
         ("opponents", "Opponents now", "Opponents"): _opponents(opened, state),
-        ("curves", "Learning curves", "Curves"): _curves(points),
-        ("throughput", "Throughput", ""): _throughput(points, status),
+        ("curves", "Learning curves", "Curves"): _curves(curves),
+        ("throughput", "Throughput", ""): _throughput(curves, status),
         ("jobs", "Jobs and errors", "Jobs"): _jobs(state, status),
         ("matches", "Newest matches", "Matches"): [*newest_matches(newest, total, link_prefix), *films[1:]],
         ("lineage", "Lineage", ""): _lineage(shown),
@@ -121,7 +124,10 @@ def _ladder(rows: Sequence[Row], shown: Shown) -> Iterator[str | FigureBlock | T
         columns = [*(TRIED if ladder.one_team else LADDER), STEPS]
         if several_ranked(own):
             columns.insert(1, ISLAND)
-        yield _table(for_people(own), columns, f"Ladder{name}, best first")
+        title = f"Ladder{name}, best first"
+        if len(own) > LISTED:
+            title += f": the first {LISTED} of {len(own):,}; `league ratings` prints all"
+        yield _table(for_people(own[:LISTED]), columns, title)
 
 
 def _known(rows: Sequence[Row], shown: Shown) -> tuple[list[Row], str]:
@@ -196,7 +202,7 @@ def _opponents(opened: Open, state: LeagueState) -> Iterator[str | FigureBlock |
         return
     alone = True
     for player in state.players:
-        for part in _mixture(explain_opponents(role_of(player.role), state, player, seed), player):
+        for part in _mixture(explain_opponents(role_of(player.role), state, player, seed, NEWEST), player):
             alone = False
             yield part
     if alone:
@@ -207,42 +213,37 @@ def _mixture(found: Mapping[str, Any], player: Player) -> Iterator[FigureBlock |
     for team in found["teams"] if found["learns"] else ():
         against = f" in team {team['team']}" if len(found["teams"]) > 1 else ""
         caption = f"Whom {player.name} meets{against} by the rule {found['kind']}"
-        yield FigureBlock(figures.mixture(team["opponents"]), f"{caption}: {team['why']}.")
-        all_of_them = mark_present(team["opponents"])
-        shown = all_of_them[:NEWEST]
-        named = caption if len(shown) == len(all_of_them) else f"{caption}: the newest {NEWEST} of {len(all_of_them):,}"
+        yield FigureBlock(figures.mixture([*team["opponents"], *team["older"]]), f"{caption}: {team['why']}.")
+        shown, total = mark_present(team["opponents"]), len(team["opponents"]) + len(team["older"])
+        named = caption if len(shown) == total else f"{caption}: the newest {len(shown)} of {total:,}"
         yield _table(shown, opponent_columns(team), named)
 
 
-def _curves(points: Sequence[Row]) -> Iterator[str | FigureBlock | TableBlock]:
-    if not points:
+def _curves(curves: LearningCurves) -> Iterator[str | FigureBlock | TableBlock]:
+    if not curves.newest:
         yield "Nobody has learnt yet."
         return
-    known = {key for row in points for key in row}
+    known = {"player", "iteration", "steps", "seconds", *curves.metrics}
     for key, title in DRAWN.items():
         if key in known:
             caption = f"{title.capitalize()} over the training steps of each player."
-            yield FigureBlock(figures.curves(points, key, title), caption + _means(points))
+            yield FigureBlock(figures.curves(curves.lines(key), title), caption + _means(curves.longest))
     columns = [c for c in CURVES if (c if isinstance(c, str) else c.key) in known]
-    yield _table(points[-NEWEST:], columns, f"The newest {len(points[-NEWEST:])} of {len(points):,} iterations")
+    yield _table(curves.newest, columns, f"The newest {len(curves.newest)} of {curves.total:,} iterations")
 
 
-def _means(points: Sequence[Row]) -> str:
-    """Describe a point of a long curve."""
-    most = max(Counter(row["player"] for row in points).values())
+def _means(most: int) -> str:
+    """Describe a point of a curve of so many iterations."""
     return f" A point is a mean over up to {-(-most // figures.POINTS)} iterations." if most > figures.POINTS else ""
 
 
-def _throughput(points: Sequence[Row], status: LeagueStatus) -> Iterator[str | FigureBlock | TableBlock]:
-    timed = [row for row in points if "steps_per_second" in row]
+def _throughput(curves: LearningCurves, status: LeagueStatus) -> Iterator[str | FigureBlock | TableBlock]:
     yield status.share
-    if timed:
-        newest = {row["player"]: row["steps_per_second"] for row in timed}
-        caption = ", ".join(f"{player} {rate:,.0f}" for player, rate in sorted(newest.items()))
-        picture = figures.curves(timed, "steps_per_second", "steps per second", "seconds", "seconds of training")
-        yield FigureBlock(
-            picture, f"Environment steps per second, learning included. Newest: {caption}." + _means(timed)
-        )
+    if timed := curves.lines(SPEED, "seconds"):
+        caption = ", ".join(f"{player} {points[-1][1]:,.0f}" for player, points in sorted(timed.items()))
+        picture = figures.curves(timed, "steps per second", "seconds of training")
+        means = _means(max(map(len, timed.values())))
+        yield FigureBlock(picture, f"Environment steps per second, learning included. Newest: {caption}.{means}")
     yield _table(status.workers, WORKERS[:-1], "Workers")  # the time at which they were last seen is soon out of date
 
 
@@ -269,4 +270,7 @@ def _lineage(shown: Shown) -> Iterator[FigureBlock | TableBlock | str]:
     children = sum(row["parent"] is not None for row in rows)
     caption = f"{len(rows):,} snapshots by their training steps, {children:,} of which continue from another one."
     yield FigureBlock(figures.lineage(rows), caption)
-    yield _table(rows, LINEAGE, "Snapshots")
+    title = "Snapshots"
+    if len(rows) > LISTED:
+        title += f": the newest {LISTED} of {len(rows):,}; `league snapshots` prints all"
+    yield _table(rows[-LISTED:], LINEAGE, title)

@@ -7,6 +7,7 @@ from dashboards.text import clock
 from dashboards.web import figures
 from dashboards.web.document import Card, FigureBlock, FilmBlock, Section
 from league.queries.league_status import LeagueStatus
+from league.queries.page.learning_curves import LearningCurves
 from league.queries.page.training_gain import ORDER, Gain, gains
 from league.queries.page.troubles import troubles
 from league.queries.query import Open, Shown, score_text
@@ -28,7 +29,7 @@ class Facts(NamedTuple):
     state: LeagueState
     status: LeagueStatus
     rows: Sequence[Row]  # of the ladder, best first
-    points: Sequence[Row]  # of the learning curves
+    curves: LearningCurves
 
 
 def overview(facts: Facts, film: FilmBlock) -> Section:
@@ -145,7 +146,7 @@ def _trend(facts: Facts) -> Iterator[FigureBlock]:
         )
         return
     for key, title in (("score", "score in training"), ("reward", "reward per step")):
-        if any(key in point for point in facts.points):
-            drawn = figures.compact(figures.curves(facts.points, key, title), TREND)
+        if key in facts.curves.metrics:
+            drawn = figures.compact(figures.curves(facts.curves.lines(key), title), TREND)
             yield FigureBlock(drawn, f"{title.capitalize()} over training steps; ratings come later.")
             return

@@ -67,12 +67,7 @@ def test_opponents_that_are_never_met_are_left_out_and_many_are_summed_up():
 
 
 def test_curves_have_a_line_for_each_player_where_it_was_recorded():
-    points = [
-        {"player": "blue", "steps": 10, "score": 0.5},
-        {"player": "red", "steps": 10},
-        {"player": "blue", "steps": 20, "score": 0.75},
-    ]
-    traces = checked(figures.curves(points, "score", "score"))
+    traces = checked(figures.curves({"blue": [(10, 0.5), (20, 0.75)], "red": []}, "score"))
     assert (traces["blue"]["x"], traces["blue"]["y"]) == ([10, 20], [0.5, 0.75])
     assert "red" not in traces
 

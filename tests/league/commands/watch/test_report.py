@@ -160,14 +160,24 @@ def test_a_thousand_snapshots_have_a_page_that_a_browser_can_hold(tmp_path, monk
     with filled(tmp_path / "league-data") as store:
         frozen = [snapshot(p, i, store.blobs.put(b"same")) for p in (blue, red) for i in range(5, 505)]
         store.add_snapshots(frozen)
-        finish(
-            store, matches=[match(f"blue@{i}", f"red@{i + d}", 34 - d, 30) for i in range(5, 495) for d in (0, 1, 9)]
-        )
+        games = [match(f"blue@{i}", f"red@{i + d}", 34 - d, 30) for i in range(5, 495) for d in (0, 1, 9)]
+        finish(store, matches=[*games, *(match(f"{p.name}@5", f"{p.name}@0", 400, 300) for p in (blue, red))])
     page = reported(tmp_path, monkeypatch)
-    assert len(page.tables["Ladder, best first"]) == 1 + 1007
+    head, *best = page.tables["Ladder, best first: the first 500 of 1,007; `league ratings` prints all"]
+    with Open(Store.open(str(tmp_path / "league-data"))) as opened:
+        ratings = opened.ratings()
+    at = [head.index(name) for name in ("rank", "snapshot", "elo", "games")]
+    assert [[row[i] for i in at] for row in best] == [
+        [f"{row['rank']:.0f}", row["name"], f"{row['elo']:.0f}", str(row["games"])]
+        if row["known"]
+        else ["–", row["name"], "–", str(row["games"])]
+        for row in ratings.head(500).to_dict("records")
+    ]
+    assert best[0][0] == "1"
+    assert len(page.tables["Snapshots: the newest 500 of 1,007; `league snapshots` prints all"]) == 1 + 500
     heat = page.figures["payoff-0"]["data"][0]
     assert (len(heat["z"]), len(heat["z"][0])) == (100, 100)
-    assert "100 × 100 of 989 × 989 snapshots" in page.captions["payoff-0"]
+    assert "100 × 100 of 991 × 991 snapshots" in page.captions["payoff-0"]
     bare = len((tmp_path / "report.html").read_bytes()) - len(pages.script("plotly.js").encode())
     assert bare < 2_000_000
 
