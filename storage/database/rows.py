@@ -5,7 +5,7 @@ The functions that take a connection are steps of the caller's transaction.
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -113,6 +113,14 @@ def add_players(db: sa.Connection, players: Sequence[Player]) -> int:
     return new
 
 
+def lock_players(db: sa.Connection, league: str, players: Collection[str]) -> None:
+    """Lock the rows of players until the commit, so that nobody else adds or removes their checkpoints."""
+    if players and db.dialect.name == "postgresql":  # a writer of SQLite has the whole file for itself
+        c = t.players.c
+        mine = sa.select(c.name).where(c.league == league, c.name.in_(players)).order_by(c.name)
+        db.execute(mine.with_for_update(key_share=True)).all()
+
+
 def add_snapshots(db: sa.Connection, snapshots: Sequence[Snapshot]) -> int:
     """Add the new snapshots; return how many. Raises StorageError when a name exists with other bytes."""
     new = _add(db, t.snapshots, (row_of(s, "created") for s in snapshots), unique=["league", "name"])
@@ -128,7 +136,10 @@ def add_snapshots(db: sa.Connection, snapshots: Sequence[Snapshot]) -> int:
 
 
 def add_checkpoints(db: sa.Connection, league: str, checkpoints: Sequence[Checkpoint], keep: int) -> None:
-    """Add checkpoints and reset their players' setbacks; with `keep` > 0 each player keeps only its newest `keep`."""
+    """Add checkpoints and reset their players' setbacks; with `keep` > 0 each player keeps only its newest `keep`.
+
+    The players' rows are locked.
+    """
     if not checkpoints:
         return
     db.execute(sa.insert(t.checkpoints), [row_of(c, "created") for c in checkpoints])

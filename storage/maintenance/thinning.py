@@ -116,7 +116,9 @@ def remove(
     for some in _batches(removable.checkpoints):
         progress("checkpoints", checkpoints, len(removable.checkpoints))
         with database.changing(league for _, league in some) as db:
-            gone = sa.delete(t.checkpoints).where(c.id.in_([id for id, _ in some]), c.id.not_in(_newest(1)))
+            # Rows that the end of a turn removes at this moment are left out: it may wait for the league's row.
+            free = sa.select(c.id).where(c.id.in_([id for id, _ in some])).with_for_update(skip_locked=True)
+            gone = sa.delete(t.checkpoints).where(c.id.in_(free), c.id.not_in(_newest(1)))
             digests = db.scalars(gone.returning(c.digest)).all()
             note_dropped(db, digests)
             checkpoints += len(digests)

@@ -3,7 +3,7 @@
 import json
 import math
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
@@ -27,8 +27,8 @@ def curve_pieces(parts: Iterable[Sequence[Any]], metrics: Sequence[str]) -> Iter
             values = json.loads(f"[{','.join(texts)}]")  # one call for all rows
             if len(values) != len(texts) or not all(isinstance(each, dict) for each in values):
                 raise ValueError("values is no object")
-            columns = {name: array("d", [_number(each.get(name)) for each in values]) for name in metrics}
             recorded = set[str]().union(*values)
+            columns = {name: _column(name, values, name in recorded) for name in metrics}
             yield (
                 player,
                 CurveColumns(array("q", iterations), array("q", steps), array("d", seconds), columns, recorded),
@@ -52,5 +52,10 @@ def joined(pieces: Iterable[tuple[str, CurveColumns]]) -> dict[str, CurveColumns
     return found
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+def _column(name: str, values: Sequence[Mapping[str, Any]], recorded: bool) -> "array[float]":
+    if not recorded:
+        return array("d", [math.nan]) * len(values)
+    try:
+        return array("d", map(itemgetter(name), values))  # where every row has it, in a third of the time
+    except (KeyError, TypeError):
+        return array("d", [math.nan if (x := each.get(name)) is None else x for each in values])

@@ -109,10 +109,10 @@ def renew(db: sa.Connection, lease: Lease, seconds: float) -> bool:
 
 
 def end_lease(db: sa.Connection, lease: Lease, **values: Any) -> str:
-    """End a lease and set these values of the job; return its league, whose revision the caller bumps next.
+    """End a lease and set these values of the job; return its league, whose revision the caller bumps afterwards.
 
-    The order is chosen so that two jobs of one league that end at the same time block each other as briefly as
-    possible. Raises LeaseLost.
+    Everywhere rows are locked in the order job, players, league: nobody waits in a circle, and two jobs of one league
+    that end at the same time block each other as briefly as possible. Raises LeaseLost.
     """
     ended = sa.update(t.jobs).where(HELD).values({"lease_until": None, **values}).returning(t.jobs.c.league)
     if (league := db.scalar(ended, lease_parameters(lease))) is None:
@@ -169,7 +169,6 @@ def record_setback(db: sa.Connection, lease: Lease, player: str, reason: str, li
     """Record a setback, see Store.record_setback. Raises LeaseLost, UnknownName."""
     reason = _storable(reason)
     league = end_lease(db, lease, state="done", error=reason)
-    bump_revisions(db, [league])
     c = t.players.c
     counted = {
         "setbacks": c.setbacks + 1,
@@ -177,14 +176,20 @@ def record_setback(db: sa.Connection, lease: Lease, player: str, reason: str, li
     }
     if db.execute(sa.update(t.players).where(c.league == league, c.name == player).values(counted)).rowcount == 0:
         raise UnknownName("player", player, db.scalars(sa.select(c.name).where(c.league == league)))
+    bump_revisions(db, [league])
 
 
 def require_newest(db: sa.Connection, league: str, bases: Mapping[str, str]) -> None:
-    """Raise Superseded unless each player's newest checkpoint is its base ("": none). The league's row is locked."""
+    """Raise Superseded unless each player's newest checkpoint is its base ("": none). The players' rows are locked."""
+    if not bases:
+        return
     c = t.checkpoints.c
+    place = sa.func.row_number().over(partition_by=c.player, order_by=NEWEST_CHECKPOINT).label("place")
+    ranked = sa.select(c.player, c.digest, place).where(c.league == league, c.player.in_(bases)).subquery()
+    rows = db.execute(sa.select(ranked.c.player, ranked.c.digest).where(ranked.c.place == 1))
+    newest = {player: digest for player, digest in rows}
     for player, base in sorted(bases.items()):
-        newest = sa.select(c.digest).where(c.league == league, c.player == player).order_by(*NEWEST_CHECKPOINT)
-        if (found := db.scalar(newest.limit(1)) or "") != base:
+        if (found := newest.get(player, "")) != base:
             now, then = (digest[:12] or "none" for digest in (found, base))
             raise Superseded(
                 f"Player {player!r} goes on from checkpoint {now} now; results from {then} were not written."

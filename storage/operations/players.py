@@ -30,11 +30,10 @@ class Players(StoreBase):
         """Pause a player's learning for a reason, or resume it with None and reset its setbacks. Raises UnknownName."""
         c = t.players.c
         values: dict[str, Any] = {"paused": reason} if reason is not None else {"paused": None, "setbacks": 0}
-        with self._db.changing([league]) as db:
-            if (
-                db.execute(sa.update(t.players).where(c.league == league, c.name == player).values(values)).rowcount
-                == 0
-            ):
+        with self._db.writing() as db:  # the player's row before the league's, as at the end of a turn
+            found = db.execute(sa.update(t.players).where(c.league == league, c.name == player).values(values)).rowcount
+            rows.bump_revisions(db, [league])
+            if found == 0:
                 raise UnknownName("player", player, db.scalars(sa.select(c.name).where(c.league == league)))
 
     def add_snapshots(self, snapshots: Sequence[Snapshot]) -> None:

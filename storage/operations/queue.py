@@ -129,12 +129,15 @@ class JobQueue(StoreBase):
             for row in (*checkpoints, *snapshots, *matches, *curves, *meetings, *jobs):
                 if row.league != league:
                     raise StorageError(f"Job {lease.job} of league {league!r} has a result for league {row.league!r}.")
-            last = rows.reserve_match_ids(db, league, len(matches))
+            # The league's row is locked last: all its other changes wait until this transaction has ended, which is
+            # many round trips later. What is written before is of these players alone, whose rows are locked.
+            rows.lock_players(db, league, {*(bases or {}), *(each.player for each in checkpoints)})
             leases.require_newest(db, league, bases or {})
             rows.add_snapshots(db, snapshots)
             rows.add_checkpoints(db, league, checkpoints, keep)
-            rows.add_matches(db, matches, last)
             rows.add_curves(db, curves)
+            last = rows.reserve_match_ids(db, league, len(matches))
+            rows.add_matches(db, matches, last)
             rows.add_meetings(db, meetings)
             rows.add_jobs(db, rows.without_thinned(db, jobs))
 
