@@ -5,15 +5,20 @@
 `held`: four processes claim and finish jobs without a pause, in windows; before the second phase another client opens a
 transaction, reads the jobs in it and stays idle, as a dump or a forgotten session does; in the third it has ended.
 `crowd`: 200 processes, each with a job of one second at a time, which all start at the same moment; directly and
-through PgBouncer with 20 sessions of the server. Each uses a private server, whose disk is not waited for.
+through PgBouncer with 20 sessions of the server. `turn`: a process far from the server ends turns of two players, with
+checkpoints, snapshots, curves of 16 iterations and games; another one near it locks the league's row again and again,
+and the longest that it waits is how long the turn's end held the row. Each uses a private server, whose disk is not
+waited for.
 """
 
 import argparse
 import gc
 import multiprocessing
 import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +31,12 @@ import psycopg
 
 from benchmarks.store import LEAGUE, load
 from scripts.record import make_parser, report, run_info
-from storage.records import Job, League
+from storage.records import ArenaKey, Checkpoint, CurvePoint, Job, League, Meeting, Player, Snapshot
 from storage.store import Store
-from tests.faults.servers import Bouncer, Server
+from tests.faults.servers import Bouncer, Line, Server
 
+ITERATIONS = 16  # of a turn
+KEY = ArenaKey("sumo-1v1", "0", "c")
 FORK = multiprocessing.get_context("fork")
 
 
@@ -140,6 +147,76 @@ def crowd(server: Server, args: argparse.Namespace, folder: Path) -> dict:
     return found
 
 
+def turn(server: Server, args: argparse.Namespace, folder: Path) -> dict:
+    """Measure how long the end of a turn takes and holds the league's row, by the round trip to the server."""
+    return {f"round_trip_{ms:g}_ms": _turns(server, ms, args.turns, folder) for ms in args.round_trips}
+
+
+def _turns(server: Server, round_trip: float, turns: int, folder: Path) -> dict:
+    name = f"turn_{round_trip:g}".replace(".", "_")
+    place = (server.url(name), str(folder / name))
+    fill(place, turns)
+    line, took, held, bases = Line(server.port, round_trip / 2000), [], [], {}
+    try:
+        with Store.open(server.url(name, line.port), blobs=place[1]) as store:
+            store.add_players([Player(LEAGUE, p, side, "main", "rover") for side, p in enumerate(("blue", "red"))])
+            for number in range(turns):
+                claimed = store.claim(LEAGUE, ["any"], "here:1:any", 60)
+                assert claimed is not None
+                results = _results(store, number)
+                with _locking(place[0]) as waits:
+                    begun = time.perf_counter()
+                    store.finish(claimed[0], bases=bases, **results)
+                    took.append(1000 * (time.perf_counter() - begun))
+                held.append(max(waits))
+                bases = {each.player: each.digest for each in results["checkpoints"]}
+    finally:
+        line.cut()
+    return {"turns": turns, "took_ms": quantiles(took), "held_ms": quantiles(held), "load_average": load()}
+
+
+def _results(store: Store, number: int) -> dict[str, Any]:
+    """Return the results of a turn of blue and red."""
+    last, values = ITERATIONS * (number + 1), {"score": 0.5, "reward": 0.1, "length": 200.0, "entropy": 1.0}
+    digests = {p: store.blobs.put(f"{p} {number}".encode()) for p in ("blue", "red")}
+    counts = {"step": 1000 * last, "iteration": last, "seconds": float(last), "arena": KEY}
+    return {
+        "checkpoints": [Checkpoint(LEAGUE, p, digest, **counts) for p, digest in digests.items()],
+        "snapshots": [Snapshot(LEAGUE, f"{p}@{last}", d, "rover", p, **counts) for p, d in digests.items()],
+        "curves": [
+            CurvePoint(LEAGUE, p, i, 1000 * i, float(i), values)
+            for p in digests for i in range(last - ITERATIONS + 1, last + 1)
+        ],
+        "meetings": [Meeting(LEAGUE, p, last, "nobody", 40, 10, 14, chance=0.1, pool=1) for p in digests] * 4,
+        "keep": 3,
+    }  # fmt: skip
+
+
+@contextmanager
+def _locking(url: str) -> Iterator[list[float]]:
+    """Lock the league's row without a pause during the block; yield the ms that each lock took."""
+    waits, begun, ended = list[float](), threading.Event(), threading.Event()
+
+    def lock() -> None:
+        with psycopg.connect(url, autocommit=True) as db:
+            while not (waits and ended.is_set()):
+                start = time.perf_counter()
+                db.execute("SELECT 1 FROM leagues FOR NO KEY UPDATE")
+                waits.append(1000 * (time.perf_counter() - start))
+                begun.set()
+                time.sleep(0.0002)
+
+    thread = threading.Thread(target=lock)
+    thread.start()
+    begun.wait()
+    waits.clear()
+    try:
+        yield waits
+    finally:
+        ended.set()
+        thread.join()
+
+
 def measured(parts: dict[str, Callable[..., dict]], args: argparse.Namespace, connections: int = 0) -> dict[str, Any]:
     """Return the results of the parts that are asked for, each on a server of its own.
 
@@ -162,7 +239,7 @@ def measured(parts: dict[str, Callable[..., dict]], args: argparse.Namespace, co
 
 def main() -> None:
     """Measure and print the JSON."""
-    parts: dict[str, Callable[..., dict]] = {"held": held, "crowd": crowd}
+    parts: dict[str, Callable[..., dict]] = {"held": held, "crowd": crowd, "turn": turn}
     parser = make_parser(__doc__)
     parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--seconds", type=float, default=10.0, help="of a window with or without the transaction")
@@ -170,6 +247,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=30_000, help="queued at the start of `held`")
     parser.add_argument("--workers", type=int, default=200)
     parser.add_argument("--crowd-seconds", type=float, default=30.0)
+    parser.add_argument("--turns", type=int, default=30)
+    parser.add_argument("--round-trips", type=float, nargs="+", default=[1.0, 20.0], help="ms")
     args = parser.parse_args()
     found = measured(parts, args)  # before run_info, which loads JAX into this process
     report({**run_info(args.commit), **found}, args.out)

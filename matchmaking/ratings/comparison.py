@@ -37,6 +37,8 @@ CYCLIC_ELO = 100.0
 """Elo: amplitude of the cyclic term that the model cannot express and a statement has to survive."""
 MIN_DIRECT_GAMES = 100
 """Games between two snapshots from which on these games alone decide."""
+CLOSE = 1e-4
+"""Relative error of the covariances; that of a gap's variance is far smaller, and no verdict is so near."""
 
 
 class Comparison(NamedTuple):
@@ -93,7 +95,7 @@ def _variances(ladder: Ladder, first: Sequence[int], second: Sequence[int]) -> n
     games = payoff.home.sum(1) + payoff.away.sum(1)
     information = games * chance * (1 - chance) / ELO**2
     found = []
-    for i, j, with_gap in zip(first, second, ratings.covariances_with_gaps(first, second).T, strict=True):
+    for i, j, with_gap in zip(first, second, ratings.covariances_with_gaps(first, second, CLOSE).T, strict=True):
         errors = misfit * (information * (with_gap[payoff.first] - with_gap[payoff.second])) ** 2
         found.append(with_gap[i] - with_gap[j] + errors.sum() + misfit)
     return np.array(found)

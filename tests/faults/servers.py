@@ -1,6 +1,6 @@
 """Infrastructure of a league under fault injection: PostgreSQL, a pooler, a line that can be cut, a small disk.
 
-python -m tests.faults.servers 6543 5432      # forwards 127.0.0.1:6543 to 127.0.0.1:5432
+python -m tests.faults.servers 6543 5432 0.01   # forwards 127.0.0.1:6543 to 127.0.0.1:5432, 10 ms later
 """
 
 import asyncio
@@ -199,13 +199,14 @@ class Bouncer:
 class Line:
     """A network line to a port: a process that forwards bytes. Stopped, it drops them; killed, it disconnects."""
 
-    def __init__(self, to: int):
-        self.port, self.to = free_port(), to
+    def __init__(self, to: int, delay: float = 0.0):
+        """Start forwarding; bytes take `delay` seconds in each direction."""
+        self.port, self.to, self.delay = free_port(), to, delay
         self.mend()
 
     def mend(self) -> None:
         """Start forwarding bytes."""
-        self.process = subprocess.Popen([sys.executable, __file__, str(self.port), str(self.to)])
+        self.process = subprocess.Popen([sys.executable, __file__, str(self.port), str(self.to), str(self.delay)])
         await_port(self.port)
 
     def silence(self) -> None:
@@ -230,12 +231,25 @@ def small_disk(folder: Path, megabytes: int) -> Iterator[Path]:
         subprocess.run(["umount", "-l", folder], check=True)
 
 
-async def _forward(listening: int, to: int) -> None:
+async def _forward(listening: int, to: int, delay: float = 0.0) -> None:
     async def pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(OSError):
-            while data := await source.read(1 << 16):
-                sink.write(data)
+        loop = asyncio.get_running_loop()
+        on_the_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()
+
+        async def arrive() -> None:
+            while (found := await on_the_way.get())[1]:
+                await asyncio.sleep(found[0] - loop.time())
+                sink.write(found[1])
                 await sink.drain()
+
+        with contextlib.suppress(OSError):
+            arriving = asyncio.create_task(arrive())
+            while data := await source.read(1 << 16):
+                if arriving.done():
+                    break
+                on_the_way.put_nowait((loop.time() + delay, data))
+            on_the_way.put_nowait((0.0, b""))
+            await arriving
         sink.close()
 
     async def joined(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -251,4 +265,4 @@ async def _forward(listening: int, to: int) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(_forward(int(sys.argv[1]), int(sys.argv[2])))
+    asyncio.run(_forward(int(sys.argv[1]), int(sys.argv[2]), *map(float, sys.argv[3:])))

@@ -41,15 +41,19 @@ class StrengthCovariance:
         self._problem, self._x, self._terms = problem, x, terms
         self._dispersion, self._anchor = dispersion, anchor
 
-    def with_gaps(self, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
-        """Return covariances (P, K) of all strengths with K gaps, each between a snapshot ahead and one behind (K,)."""
+    def with_gaps(self, ahead: np.ndarray, behind: np.ndarray, close: float | None = None) -> np.ndarray:
+        """Return covariances (P, K) of all strengths with K gaps, each between a snapshot ahead and one behind (K,).
+
+        `close` is the relative error of the systems that are solved for many snapshots, by default that of `solve`.
+        """
         P, gaps = len(self._anchor), np.arange(len(ahead))
         if self._is_small:
             return self.whole[:P, ahead] - self.whole[:P, behind]
         contrasts = np.zeros((len(self._x), len(gaps)))
         contrasts[ahead, gaps] += 1
         contrasts[behind, gaps] -= 1
-        through = [self.solve(self.dispersed_information.times(self.solve(some))) for some in _some(contrasts)]
+        solve = self.solve if close is None else self.information.solver(close)
+        through = [solve(self.dispersed_information.times(solve(some))) for some in _some(contrasts)]
         found = np.concatenate(through, 1)[:P]
         return found - self._anchor @ found
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from matchmaking import match_selection
+from matchmaking.ratings.comparison import compare_pairs
 from matchmaking.ratings.fit import Ratings, fit
 from matchmaking.ratings.ladder import Ladder, Pool
 from matchmaking.ratings.likelihoods import covariance, information, penalised
@@ -80,6 +81,19 @@ def test_single_covariances_are_the_same(both):
     (_, *dense), (_, *sparse) = both
     for one, other in zip(sparse, dense, strict=True):
         assert one == pytest.approx(other, rel=1e-5, abs=1e-4)
+
+
+def test_comparisons_are_the_same(monkeypatch):
+    ends = [(7, 9), (40, 41), (3, 399), (200, 100), (350, 175)]
+    pairs = [(f"s{i:05}", f"s{j:05}") for i, j in ends]
+    found = []
+    for size in (10**9, -1):
+        for module, name in ((penalised, "MAX_DENSE_FIT"), (information, "MAX_DENSE"), (covariance, "MAX_DENSE")):
+            monkeypatch.setattr(module, name, size)
+        found.append(compare_pairs(Ladder(*league(400, 2)), pairs, direct=False))
+    for dense, sparse in zip(*found, strict=True):
+        assert (sparse.first, sparse.sure) == (dense.first, dense.sure)
+        assert (sparse.gap, sparse.error) == (pytest.approx(dense.gap, abs=1e-4), pytest.approx(dense.error, rel=1e-5))
 
 
 def test_errors_are_estimated_to_a_few_per_cent(both):
