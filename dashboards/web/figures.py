@@ -11,6 +11,8 @@ import numpy as np
 
 Figure = dict[str, Any]
 Rows = Sequence[Mapping[str, Any]]
+Line = tuple[Sequence[float], Sequence[float]]
+"""Points in order, as x and y."""
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
 """Colours that most colour-blind readers can distinguish, on dark and light (Okabe and Ito's, except for two)."""
@@ -129,17 +131,17 @@ def mixture(opponents: Rows) -> Figure:
     return _figure([bars], "probability", "", 110 + 20 * len(names), yaxis=axis, showlegend=False)
 
 
-def curves(lines: Mapping[str, Sequence[tuple[float, float]]], title: str, across: str = "training steps") -> Figure:
+def curves(lines: Mapping[str, Line], title: str, across: str = "training steps") -> Figure:
     """Return a recorded metric of learning over steps, a line for each player.
 
     Args:
-        lines: by player, points in order: place on the horizontal axis, and the metric.
+        lines: by player; y is the metric.
         title: the metric's name on the page.
         across: the title of the horizontal axis.
     """
     traces = []
     for owner, style in _styles(lines).items():
-        x, y = thinned(lines.get(owner or "", ()))
+        x, y = thinned(*lines.get(owner or "", ((), ())))
         traces.append({"type": "scatter", "mode": "lines", "name": owner, "x": x, "y": y, "line": style})
     return _figure(traces, across, title, 320)
 
@@ -212,11 +214,12 @@ def bounds(merit: str) -> tuple[str, str]:
     return ("low", "high") if merit == "elo" else (f"{merit}_low", f"{merit}_high")
 
 
-def thinned(points: Sequence[tuple[float, float]], most: int = POINTS) -> tuple[list[float], list[float]]:
-    """Return at most `most` points as x and y: means of y over groups of neighbours, at the last x of each group."""
-    size = -(-len(points) // most) or 1
-    groups = [points[i : i + size] for i in range(0, len(points), size)]
-    return [group[-1][0] for group in groups], [sum(y for _, y in group) / len(group) for group in groups]
+def thinned(x: Sequence[float], y: Sequence[float], most: int = POINTS) -> tuple[list[float], list[float]]:
+    """Return a line of at most `most` points: means of y over groups of neighbours, at the last x of each group."""
+    size = -(-len(x) // most) or 1
+    starts = range(0, len(x), size)
+    groups = (y[i : i + size] for i in starts)
+    return [x[min(i + size, len(x)) - 1] for i in starts], [sum(group) / len(group) for group in groups]
 
 
 def _styles(owners: Iterable[str | None]) -> dict[str | None, dict[str, Any]]:

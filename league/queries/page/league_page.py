@@ -240,9 +240,9 @@ def _means(most: int) -> str:
 def _throughput(curves: LearningCurves, status: LeagueStatus) -> Iterator[str | FigureBlock | TableBlock]:
     yield status.share
     if timed := curves.lines(SPEED, "seconds"):
-        caption = ", ".join(f"{player} {points[-1][1]:,.0f}" for player, points in sorted(timed.items()))
+        caption = ", ".join(f"{player} {rates[-1]:,.0f}" for player, (_, rates) in sorted(timed.items()))
         picture = figures.curves(timed, "steps per second", "seconds of training")
-        means = _means(max(map(len, timed.values())))
+        means = _means(max(len(rates) for _, rates in timed.values()))
         yield FigureBlock(picture, f"Environment steps per second, learning included. Newest: {caption}.{means}")
     yield _table(status.workers, WORKERS[:-1], "Workers")  # the time at which they were last seen is soon out of date
 

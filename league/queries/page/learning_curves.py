@@ -1,10 +1,12 @@
 """Learning curves as the page needs them: columns of the metrics that it plots, and the newest rows."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from dashboards.web.figures import Line
 from league.queries.columns import NEWEST
 from league.queries.query import Open, curve_rows
 from league.queries.ratings.rating_rows import Row
@@ -46,13 +48,16 @@ class LearningCurves:
         """Names of all metrics that were recorded, also of those that are not plotted."""
         return {name for own in self.columns.values() for name in own.recorded}
 
-    def lines(self, metric: str, over: Literal["steps", "seconds"] = "steps") -> dict[str, list[tuple[float, float]]]:
-        """Return a metric of each player that has it, as points over its steps or seconds of training."""
-        return {name: found for name, own in self.columns.items() if (found := list(_points(own, metric, over)))}
+    def lines(self, metric: str, over: Literal["steps", "seconds"] = "steps") -> dict[str, Line]:
+        """Return a metric of each player that has it over its steps or seconds of training, as x and y."""
+        found = ((name, _line(own, metric, over)) for name, own in self.columns.items())
+        return {name: line for name, line in found if len(line[0])}
 
 
-def _points(own: CurveColumns, metric: str, over: Literal["steps", "seconds"]) -> Iterator[tuple[float, float]]:
-    values = own.values[metric]
-    if over == "steps":
-        return ((x, y) for x, y in zip(own.steps, values, strict=True) if not math.isnan(y))
-    return ((round(x, 3), y) for x, y in zip(own.seconds, values, strict=True) if not math.isnan(y))
+def _line(own: CurveColumns, metric: str, over: Literal["steps", "seconds"]) -> Line:
+    x = own.steps if over == "steps" else [round(second, 3) for second in own.seconds]
+    y, there = own.values[metric], ~np.isnan(own.values[metric])
+    if there.all():
+        return x, y
+    kept = np.flatnonzero(there).tolist()
+    return [x[i] for i in kept], [y[i] for i in kept]

@@ -67,18 +67,18 @@ def test_opponents_that_are_never_met_are_left_out_and_many_are_summed_up():
 
 
 def test_curves_have_a_line_for_each_player_where_it_was_recorded():
-    traces = checked(figures.curves({"blue": [(10, 0.5), (20, 0.75)], "red": []}, "score"))
+    traces = checked(figures.curves({"blue": ([10, 20], [0.5, 0.75]), "red": ([], [])}, "score"))
     assert (traces["blue"]["x"], traces["blue"]["y"]) == ([10, 20], [0.5, 0.75])
     assert "red" not in traces
 
 
 def test_long_lines_are_thinned_to_means_and_keep_their_end():
-    x, y = figures.thinned([(float(i), float(i % 2)) for i in range(1000)], 100)
+    x, y = figures.thinned([float(i) for i in range(1000)], [float(i % 2) for i in range(1000)], 100)
     assert len(x) == 100
     assert x[-1] == 999.0
     assert y == [0.5] * 100
-    assert figures.thinned([(1.0, 2.0)]) == ([1.0], [2.0])
-    assert figures.thinned([]) == ([], [])
+    assert figures.thinned([1.0], [2.0]) == ([1.0], [2.0])
+    assert figures.thinned([], []) == ([], [])
 
 
 def test_lineage_draws_a_line_from_each_snapshot_to_the_one_that_it_goes_on_from():

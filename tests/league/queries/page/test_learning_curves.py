@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from dashboards.web.figures import POINTS, curves, thinned
+from dashboards.web.figures import POINTS, curves
 from league.queries.columns import NEWEST
 from league.queries.opponents import explain_opponents
 from league.queries.page.learning_curves import DRAWN, SPEED, LearningCurves
@@ -40,11 +40,14 @@ def test_columns_give_the_lines_that_rows_give(store, metric, over):
         name: [(row[over], row[metric]) for row in rows if row["player"] == name and metric in row]
         for name in ("blue", "red")
     }
-    assert found.lines(metric, over) == expected
+    assert {name: list(zip(*line, strict=True)) for name, line in found.lines(metric, over).items()} == expected
     (blue, red) = curves(found.lines(metric, over), metric)["data"]
-    assert (blue["x"], blue["y"]) == thinned(expected["blue"])
     assert len(blue["x"]) <= POINTS < len(expected["blue"])
-    assert (red["x"], red["y"]) == thinned(expected["red"])
+    size = -(-len(expected["blue"]) // POINTS)
+    groups = [expected["blue"][i : i + size] for i in range(0, len(expected["blue"]), size)]
+    assert blue["x"] == [group[-1][0] for group in groups]
+    assert blue["y"] == [sum(y for _, y in group) / len(group) for group in groups]
+    assert list(zip(red["x"], red["y"], strict=True)) == expected["red"]
 
 
 def test_the_newest_rows_and_the_numbers_of_iterations_are_those_of_all_rows(store):
