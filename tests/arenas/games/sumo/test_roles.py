@@ -146,10 +146,10 @@ def test_shares_of_games_have_narrower_intervals_where_swapped_games_differ():
 
 def test_ends_are_told_apart_by_policy_and_kind():
     by_rover = End(ANYMAL, "out", THEIR_ROVER, 0.5, inside=True)
-    games = [game(by_rover, start=0), game(by_rover, side=1, start=0), game(start=1), game(start=1, side=1)]
-    for of_a in (True, False):
+    games = [game(by_rover, start=0), game(by_rover, side=1, start=0), game(by_rover, start=1), game(start=1, side=1)]
+    for of_a, share in ((True, 0.5), (False, 0.25)):
         cell = table_of_ends(games, of_a)["anymal out"]["leatherback"]
-        assert (cell["games"], cell["share"], cell["inside"]) == (1, 0.25, 1)
+        assert (cell["games"], cell["share"], cell["inside"]) == (4 * share, share, 4 * share)
         assert table_of_ends(games, of_a)["anymal out"]["anymal"]["games"] == 0
 
 
@@ -211,6 +211,7 @@ def test_a_rover_that_pushes_an_anymal_out_by_its_foot(arena, record):
     assert found.numbers["driving at legs"][THEIR_ROVER] == 1.0
     assert found.numbers["towards anymal"][THEIR_ROVER] == 1.0
     assert found.numbers["closing on anymal"][THEIR_ROVER] == pytest.approx(2.55 / 2.4 * 0.894, abs=0.01)
+    assert (found.numbers["near"][ANYMAL], found.numbers["at legs"][ANYMAL]) == (1.0, 0.0)  # a rover has no legs
     assert found.numbers["near"][ROVER] == 0.0
     assert found.numbers["outer fifth"][ANYMAL] == pytest.approx(5 / 13)  # of 13 moments those above 3.2 m
 
