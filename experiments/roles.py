@@ -140,6 +140,22 @@ def row_of(a: str, b: str, matches: Sequence[Match], games: Sequence[Game]) -> d
     }  # fmt: skip
 
 
+def between_seeds(matches: Sequence[Match], seeds: Sequence[str]) -> dict[str, Any]:
+    """Return scores of every seed's blue against every seed's red, and their difference off the diagonal and on it.
+
+    Its 95 % interval is of these seeds' games, whose variances add up; it says nothing of further seeds.
+    """
+    payoff = sum_matches(matches)
+    blue, red = ([f"{seed}:{side}" for seed in seeds] for side in SIDES)
+    found = cross_play(payoff, blue, red)
+    scores = [[payoff.score(a, b) for b in red] for a in blue]
+    halves = np.array([[(score.high - score.low) / 2 for score in row] for row in scores])
+    own = np.eye(len(seeds), dtype=bool)
+    half = np.sqrt(sum((halves[where] ** 2).sum() / where.sum() ** 2 for where in (own, ~own)))
+    value = found["off_diagonal_less_diagonal"]
+    return {**found, "low": round(float(value - half), 4), "high": round(float(value + half), 4)}
+
+
 def tables(rows: Sequence[dict[str, Any]]) -> str:
     """Return the most telling figures as tables in Markdown: scores, and of the newest policies' games ends and roles.
 
@@ -208,8 +224,7 @@ def main() -> None:
             print(f"{a} against {b}: {len(games)} games, {time.monotonic() - began:.0f} s", flush=True)
             write(result, args.out)
     if len(args.seeds) > 1:
-        blue, red = ([f"{seed}:{side}" for seed in args.seeds] for side in SIDES)
-        result["cross_play"] = cross_play(sum_matches(matches), blue, red)
+        result["cross_play"] = between_seeds(matches, args.seeds)
         print(json.dumps({"cross_play": result["cross_play"]}), flush=True)
     if args.clips:
         result["clips"] = list(write_clips(examples, args.clips))
