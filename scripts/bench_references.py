@@ -3,7 +3,9 @@
     python -m scripts.bench_references t1-sumo-rovers-v1 --add blue@16.safetensors --name happo-middle --stage middle
     python -m scripts.bench_references t1-sumo-rovers-v1 --play 256   # plays pairs whose games are missing
 
-A change of a task's references changes their digest: entries that met the former ones have to be played again.
+A change of a task's references changes their digest. Where references are only added, the manifest keeps the digest and
+the names of the former set if an entry in benchmarks/entries met it, so that the entry stays in the table with what it
+met. An entry has to be played again where a reference that it met has changed.
 """
 
 import argparse
@@ -24,9 +26,11 @@ from league.runs.bench.references import FOLDER, Reference
 from league.runs.bench.tasks import Task
 from league.snapshots import policy_file
 from league.snapshots.policy_file import Policy
+from scripts.record import ROOT
 from storage.blobs import arrays
 
 MANIFEST = FOLDER / "manifest.json"
+ENTRIES = ROOT / "benchmarks" / "entries"
 
 
 def listed() -> dict[str, Any]:
@@ -58,12 +62,24 @@ def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | No
     entry |= ({"team": team} if team else {}) | ({"copies": copies} if copies > 1 else {})
     manifest = listed()
     own = manifest["tasks"].setdefault(task.name, {"references": []})
+    keep_former(own, name)
     if "rows" in own:
         rows = json.loads((FOLDER / own["rows"]["file"]).read_text("utf-8"))
         _write_rows(task, own, [row for row in rows if name not in (row["a"], row["b"])])
     own["references"] = [each for each in own["references"] if each["name"] != name] + [entry]
     write(manifest)
     return Reference(**entry)
+
+
+def keep_former(own: dict[str, Any], name: str) -> None:
+    """Keep the set of references that entries met, before one of this name is added; drop sets which had that name."""
+    names, digest = [each["name"] for each in own["references"]], references.digest(own)
+    former = [each for each in own.get("former", []) if name not in each["names"]]
+    met = {json.loads(file.read_text("utf-8"))["references"] for file in ENTRIES.glob("*.json")}
+    if name not in names and digest in met:
+        former.append({"digest": digest, "names": names})
+    own.pop("former", None)
+    own |= {"former": former} if former else {}
 
 
 def of_one_agent(policy: Policy) -> tuple[Policy, int]:

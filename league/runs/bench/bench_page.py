@@ -11,12 +11,12 @@ from dashboards.web import figures
 from dashboards.web.document import FigureBlock, Page, Part, Section, TableBlock
 from league.runs.bench import references
 from league.runs.bench.metrics import rated
-from league.runs.bench.rerating import is_former
+from league.runs.bench.rerating import of_today, references_of
 from league.runs.bench.tasks import GAMES, TASKS, Task
 
 Entries = Mapping[Path, Mapping[str, Any]]
 PLAYED = (
-    Column("rank", decimals=0), Column("entry", no_wrap=True), "record", Column("elo", "Elo", 0),
+    Column("rank", decimals=0), Column("entry", no_wrap=True), "record", "references", Column("elo", "Elo", 0),
     Column("error", "±", 0), Column("range", "lowest to highest"), Column("worst score", no_wrap=True),
     "exploitability", Column("voids", "void %", 2), Column("policies", decimals=0), "side",
     Column("games", "games a pair"),
@@ -36,18 +36,20 @@ def page(entries: Entries) -> Page:
     about = (
         f"Entries: {len(entries)}. A rating counts from the mean of a task's public references, which is 1000 Elo, with"
         f" its 95 % interval; a record has {GAMES:,} games against each reference, a trial fewer. Entries of several"
-        " policies (seeds) are ranked by their mean. docs/bench.md has the rules."
+        " policies (seeds) are ranked by their mean. Where references were added since, an entry met fewer of them, and"
+        " its worst score is over those. docs/bench.md has the rules."
     )
-    if former := [entry for entry in entries.values() if is_former(entry)]:
+    if former := [entry for entry in entries.values() if references_of(entry) is None]:
         rows = [{**_common(entry), "task": entry["task"]} for entry in former]
-        told = "These entries met other references than those of this version: `league bench` has to play them again."
+        told = "These entries met references that this version does not know: `league bench` has to play them again."
         sections.append(Section("former", "Former references", [told, _table(rows, (), "Former references")]))
     return Page("Robot League Bench", about, sections)
 
 
 def _own(task: Task, entries: Entries) -> list[Mapping[str, Any]]:
-    """Return the entries of a task that met its references of today."""
-    return [each for each in entries.values() if each["task"] == task.name and not is_former(each)]
+    """Return the entries of a task that met references which are known, measured among those of today."""
+    own = (each for each in entries.values() if each["task"] == task.name)
+    return [of_today(each) for each in own if references_of(each) is not None]
 
 
 def _section(task: Task, own: Sequence[Mapping[str, Any]]) -> Section:
@@ -86,8 +88,14 @@ def _played_row(task: Task, entry: Mapping[str, Any], team: str) -> dict[str, An
         "seconds": entry["metrics"]["seconds_to_75"],
         "population": population, "voids": 100 * float(np.mean([each["voids"] for each in own])),
         "games": entry["games"], "record": "trial" if entry["trial"] else "yes",
+        "references": f"{min(len(each['scores']) for each in own)} of {_met_by(task, team)}",
         "ranked": all(each["ranked"] for each in own),
     }  # fmt: skip
+
+
+def _met_by(task: Task, team: str) -> int:
+    """Return the number of references that a policy of this side can meet."""
+    return sum(task.alike or each.team != team for each in references.of(task).references)
 
 
 def _attacked(entry: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> str:

@@ -46,7 +46,8 @@ def metrics(
     Each policy has its rating from a fit of its own, so that it does not depend on the policies beside it.
     """
     own = {name: [row for row in rows if row["a"] == name and row["b"] in references.names] for name in policies}
-    between = [row for row in rows if row["a"] in references.names]
+    played = {(row["a"], row["b"]) for row in references.rows}  # by now, if references were added since the entry
+    between = [row for row in rows if row["a"] in references.names and (row["a"], row["b"]) not in played]
     found = [_of_policy(task, name, own[name], between, references) for name in policies]
     return {
         "policies": found,

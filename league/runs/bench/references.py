@@ -3,12 +3,13 @@
 `references/manifest.json` has a list for each task. A reference has a `name`, a `kind` (script, shipped, learnt or
 exploiter), and in a task of unlike sides its `team`. A learnt one also has its `file`, the file's SHA-256, its `stage`
 (early, middle or late), the seed and steps of its training, and its `provenance` in words. Beside the list stands the
-file with the games of the references against each other, to which every rating is fitted.
+file with the games of the references against each other, to which every rating is fitted, and `former`: the digest and
+the names of each smaller set that entries met before references were added.
 """
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -61,19 +62,39 @@ class ReferenceSet:
         """Return the references of a side; of all sides if they are alike."""
         return tuple(each for each in self.references if each.team == team)
 
+    def only(self, names: Collection[str], digest: str) -> "ReferenceSet":
+        """Return the set of some of the references, and of their games against each other."""
+        rows = (row for row in self.rows if row["a"] in names and row["b"] in names)
+        return ReferenceSet(tuple(each for each in self.references if each.name in names), tuple(rows), digest)
+
 
 def of(task: Task) -> ReferenceSet:
     """Return the references of a task. Raises StorageError if a file of the package is missing or damaged."""
-    return _set(task.name)
+    return _sets(task.name)[0]
+
+
+def met(task: Task, digest: str) -> ReferenceSet | None:
+    """Return the references with this digest, today's or a smaller set of former days; None if they are not known.
+
+    Raises StorageError as `of`.
+    """
+    return next((known for known in _sets(task.name) if known.digest == digest), None)
 
 
 @cache
-def _set(task: str) -> ReferenceSet:
+def _sets(task: str) -> tuple[ReferenceSet, ...]:
+    """Return the references of a task and the smaller sets of former days."""
     listed = json.loads(_read("manifest.json", ""))["tasks"].get(task, {"references": []})
     found = tuple(Reference(**each) for each in listed["references"])
     rows = json.loads(_read(listed["rows"]["file"], listed["rows"]["sha256"])) if "rows" in listed else []
-    digest = hashlib.sha256(json.dumps(listed, sort_keys=True).encode()).hexdigest()
-    return ReferenceSet(found, tuple(rows), digest)
+    today = ReferenceSet(found, tuple(rows), digest(listed))
+    return today, *(today.only(former["names"], former["digest"]) for former in listed.get("former", ()))
+
+
+def digest(listed: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a task's list in the manifest, without its former sets."""
+    own = {key: value for key, value in listed.items() if key != "former"}
+    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
 def bring_in(league: Open, task: Task, reference: Reference) -> None:

@@ -8,18 +8,19 @@ from typing import Any
 from league.runs.bench import references, tasks
 from league.runs.bench.entry_file import EntryError
 from league.runs.bench.evaluation import measured
+from league.runs.bench.references import ReferenceSet
 
 CLOSE = {"elo": 0.05, "low": 0.05, "high": 0.05}
 """Differences in Elo that floating-point numbers of another machine may make; all other numbers differ by `TINY`."""
 TINY = 2e-6
 
 
-def again(content: Mapping[str, Any]) -> dict[str, Any]:
+def again(content: Mapping[str, Any], known: ReferenceSet) -> dict[str, Any]:
     """Return the metrics of an entry that follow from its rows. Raises EntryError, one line, for damaged rows."""
     task = tasks.find(content["task"])
     try:
         names = [each["name"] for each in content["policies"]]
-        return measured(task, names, content["rows"], content["attacks"], content["curve"], references.of(task))
+        return measured(task, names, content["rows"], content["attacks"], content["curve"], known)
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise EntryError(f"The rows of entry {content['name']} are damaged: {type(error).__name__} {error}.") from None
 
@@ -27,23 +28,29 @@ def again(content: Mapping[str, Any]) -> dict[str, Any]:
 def differences(content: Mapping[str, Any]) -> list[str]:
     """Return the metrics of an entry that its rows contradict, a line each.
 
-    An entry that met other references than those of today is one line too.
+    An entry that met other references than this version knows is one line too.
     """
-    if is_former(content):
-        return ["it met other references than those of this version: run `league bench` again"]
-    found = again(content)
+    if (known := references_of(content)) is None:
+        return ["it met references that this version does not know: run `league bench` again"]
+    found = again(content, known)
     return [line for key in found for line in _unlike(key, content["metrics"].get(key), found[key])]
 
 
-def is_former(content: Mapping[str, Any]) -> bool:
-    """Return whether an entry met other references than those of this version."""
-    return content["references"] != references.of(tasks.find(content["task"])).digest
+def references_of(content: Mapping[str, Any]) -> ReferenceSet | None:
+    """Return the references that an entry met; None if this version does not know them."""
+    return references.met(tasks.find(content["task"]), content["references"])
+
+
+def of_today(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return an entry with its metrics among the references of today, to which others may have been added since."""
+    today = references.of(tasks.find(content["task"]))
+    return content if content["references"] == today.digest else {**content, "metrics": again(content, today)}
 
 
 def check(entries: Mapping[Path, Mapping[str, Any]]) -> None:
     """Raise EntryError, one line, for the first entry whose rows contradict its figures."""
     for path, content in entries.items():
-        if not is_former(content) and (lines := differences(content)):
+        if references_of(content) is not None and (lines := differences(content)):
             raise EntryError(f"{path} contradicts itself: {lines[0]}. `league bench rerate` tells all.")
 
 

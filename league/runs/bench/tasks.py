@@ -119,7 +119,7 @@ TASKS: Mapping[str, Task] = {
             "t5-pursuit-v1", "pursuit", "3ddc05d8d682d85c",
             {"predators": "predator:17:2+predator:17:2+predator:17:2", "prey": "prey:15:2"},
             "three predators catch a faster prey",
-            lacks="learners of other seeds and an exploiter of the late predators wait for GPU time",
+            lacks="an exploiter of the late predators waits for GPU time",
         ),
         Task(
             "t6-sumo-ants-v1", "sumo-ants", "bbf54a311b8608a1", {"blue": "ant:64:8", "red": "ant:64:8"},

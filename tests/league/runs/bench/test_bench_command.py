@@ -8,7 +8,7 @@ import pytest
 
 from league.commands import cli
 from league.matches.exact_exploitability import KnownGame
-from league.runs.bench import entry_file, rerating
+from league.runs.bench import entry_file, references, rerating
 from league.runs.bench.tasks import TASKS
 from tests.league.conftest import said
 from tests.league.runs.bench.files import network
@@ -47,7 +47,9 @@ def test_a_strangers_onnx_file_goes_through_the_bench(entry):
 def test_what_it_tells_follows_from_its_rows(entry, capsys):
     code, out, _ = said(capsys, "bench", "rerate", str(entry.parent))
     assert (code, "the same" in out) == (0, True)
-    assert rerating.again(json.loads(entry.read_text()))["policies"] == entry_file.read(entry)["metrics"]["policies"]
+    content = entry_file.read(entry)
+    found = rerating.again(content, references.of(TASKS[SUMO]))
+    assert found["policies"] == content["metrics"]["policies"]
 
 
 def test_its_page_shows_it_and_asks_for_nothing(entry, tmp_path, capsys):

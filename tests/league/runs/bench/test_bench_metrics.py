@@ -1,9 +1,14 @@
 """Metrics follow from rows alone: who broke a game lost it, seeds are compared, attackers count by their best."""
 
-from league.runs.bench import attackers, entry_file, metrics, references, rerating
+import json
+from pathlib import Path
+
+from dashboards.web.document import document
+from league.runs.bench import attackers, bench_page, entry_file, metrics, references, rerating
 from league.runs.bench.games import match_of
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import find
+from scripts import bench_references
 from tests.league.conftest import ROOT
 
 SUMO, PURSUIT = find("t1-sumo-rovers-v1"), find("t5-pursuit-v1")
@@ -102,7 +107,54 @@ def test_rows_that_do_not_give_the_figures_are_told_with_both():
     lines = rerating.differences(forged)
     assert "policies[0].score.score is 0.625, and the rows give 0.640625" in lines
     assert any("rating.elo" in line for line in lines)
-    assert "other references" in rerating.differences(content | {"references": "former"})[0]
+    assert "does not know" in rerating.differences(content | {"references": "another"})[0]
+
+
+def test_an_entry_stays_where_references_were_added_since(monkeypatch):
+    two = (row("idle", "pusher", 10, 0, 54),)
+    former = ReferenceSet(scripts("idle", "pusher"), two, "former")
+    today = ReferenceSet(scripts("idle", "pusher", "king"), (*two, row("king", "pusher", 60, 0, 4)), "today")
+    monkeypatch.setattr(references, "_sets", lambda task: (today, today.only(("idle", "pusher"), "former")))
+    rows = [row("e1", "idle", 60, 0, 4), row("e1", "pusher", 32, 0, 32)]
+    told = {**metrics.metrics(SUMO, ["e1"], rows, former), "exploitability": None, "seconds_to_75": None}
+    content = {
+        "name": "x", "about": "", "task": SUMO.name, "references": "former", "policies": [{"name": "e1"}],
+        "rows": rows, "attacks": [], "curve": [], "metrics": told, "games": 64, "trial": True, "package": "",
+        "commit": None,
+    }  # fmt: skip
+    assert rerating.differences(content) == []
+    assert rerating.differences(content | {"rows": [rows[0], row("e1", "pusher", 30, 0, 34)]})
+    among = rerating.of_today(content)["metrics"]["policies"][0]
+    assert among["scores"] == told["policies"][0]["scores"]
+    assert among["rating"]["elo"] < told["policies"][0]["rating"]["elo"]  # the new reference raises the mean
+    assert rerating.of_today(content | {"references": "today"})["metrics"] is told
+    text = document(bench_page.page({Path("x.json"): content}))
+    assert "2 of 3" in text
+    assert "Former references" not in text
+
+
+def test_games_of_references_that_an_entry_played_count_once():
+    pair = row("idle", "pusher", 10, 0, 54)
+    rows = [row("e1", "idle", 60, 0, 4), pair]
+    with_games = ReferenceSet(scripts("idle", "pusher"), (pair,), "")
+    without = ReferenceSet(scripts("idle", "pusher"), (), "")
+    known, own = (metrics.metrics(SUMO, ["e1"], rows, each)["policies"][0]["rating"] for each in (with_games, without))
+    assert known == own
+
+
+def test_a_set_of_references_is_kept_while_it_only_grows(tmp_path, monkeypatch):
+    listed = {"references": [{"name": "idle"}, {"name": "pusher"}]}
+    for number, met in enumerate((references.digest(listed), "another")):
+        (tmp_path / f"{number}.json").write_text(json.dumps({"references": met}))
+    monkeypatch.setattr(bench_references, "ENTRIES", tmp_path)
+    bench_references.keep_former(listed, "king")
+    kept = [{"digest": references.digest(listed), "names": ["idle", "pusher"]}]
+    assert listed["former"] == kept
+    listed["references"].append({"name": "king"})
+    bench_references.keep_former(listed, "queen")  # no entry met the set of three
+    assert listed["former"] == kept
+    bench_references.keep_former(listed, "pusher")  # it changes, so that the set of two is gone
+    assert "former" not in listed
 
 
 def test_the_entries_of_the_repository_are_what_their_rows_give():
