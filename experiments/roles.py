@@ -4,7 +4,8 @@
 
 OUT has a folder for each seed, in which `blue.safetensors` and `red.safetensors` are the newest policies of the last
 stage, and `blue-0.safetensors` and `red-0.safetensors` the initial ones, as `league export` writes them. On the C
-engine these pairs play `--episodes` games each, the second half from the same starts with sides swapped:
+engine, on a host with a GPU best with JAX_PLATFORMS=cpu, these pairs play `--episodes` games each, the second half from
+the same starts with sides swapped:
 
 - each newest policy against its own initial one;
 - the newest blue of each seed against the newest red of the same seed, and of every other seed (cross-play).
