@@ -16,6 +16,9 @@ the row's opponents; in an arena of one team they succeed or fail. The strength 
 | `soccer` | two ANYmals against two Leatherbacks, over skills: each side scores 75 % against the shipped scorers |
 | `galaga` | the curriculum of `galaga-1v1`: 92 % for the tank, 61 % for the drone (HARL-A's), against first opponents |
 
+`stages` has for each stage of a curriculum the seconds from the command to its beginning (its league is in the store),
+its first learning step (as in `start.py`, so without compilation) and its end (the last checkpoint or rating match).
+
 Results in the file are not repeated; arguments after `--` are further flags of `league run`. Prints and writes JSON
 after each row, with median and worst of its seeds.
 """
@@ -124,7 +127,8 @@ def measured(args: argparse.Namespace, name: str, seed: int) -> dict:
     return {
         "row": name, "seed": seed, "command": " ".join(command[2:]).replace(str(where), "STORE"),
         "bars": {player: bar._asdict() for player, bar in row.bars.items()}, "seconds_by_player": at,
-        "seconds": max(known) if len(known) == len(at) else None, "snapshots": curve,
+        "seconds": max(known) if len(known) == len(at) else None, "stages": stage_times(where, began),
+        "snapshots": curve,
     }  # fmt: skip
 
 
@@ -135,6 +139,26 @@ def last_league(store: Store) -> str | None:
     stages = configuration.loads(store.league(whole).config).stages if whole else ()
     last = f"{whole}.{stages[-1].name}" if stages else whole
     return last if last in names else None
+
+
+def stage_times(where: Path, began: float) -> dict[str, dict[str, float | None]]:
+    """Return by stage when it `began`, when its `first_step` was learnt and when it `ended`, in seconds from `began`.
+
+    None for what has not happened; without entries for stages that have not begun and for a league without stages.
+    """
+    found = {}
+    with Store.open(where) as store:
+        leagues = {league.name: league for league in store.leagues()}
+        whole = min(leagues, key=len, default="")
+        for stage in configuration.loads(leagues[whole].config).stages if leagues else ():
+            if (name := f"{whole}.{stage.name}") not in leagues:
+                continue
+            state = LeagueState.of(store, name)
+            learnt = [s.created - s.seconds for s in state.snapshots if s.player and s.iteration > 0]
+            last = max([state.played, *(c.created for c in state.checkpoints.values())])
+            times = {"began": leagues[name].created, "first_step": min(learnt, default=0.0), "ended": last}
+            found[stage.name] = {what: round(at - began, 1) if at else None for what, at in times.items()}
+    return found
 
 
 def shown(where: Path, row: Row) -> bool:

@@ -135,6 +135,10 @@ class Engine(ABC):
         """Start to compile, in threads, what the first step needs; loads nothing, and the engine may be used."""
         return
 
+    def compile(self) -> None:
+        """Compile what the first step needs into a cache for later processes; load nothing. Raises what fails."""
+        return
+
     def prepare(self) -> Callable[[], None]:
         """Start slow preparations of the first step in threads, and return a function that waits for them.
 

@@ -58,6 +58,11 @@ class MjxEngine(Engine):
         if self.name == "warp":
             self._kernels.start_compiling()
 
+    def compile(self) -> None:
+        """Compile Warp's kernels into its cache."""
+        if self.name == "warp":
+            self._kernels.compile()
+
     def prepare(self) -> Callable[[], None]:
         """Start to load Warp's kernels."""
         return self._kernels.start_loading() if self.name == "warp" else super().prepare()

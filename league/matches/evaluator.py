@@ -152,10 +152,30 @@ class MatchEvaluator:
 
     def games(self, store: Store, seats: Sequence[Sides], seed: int) -> PlayedEpisodes:
         """Play an episode in every world; `seats` are the sides of each group of worlds. The arrays are on the host."""
+        return self._played(self._stacks(store, seats), self._keys(seats, seed))
+
+    def compile(self, store: Store) -> None:
+        """Compile the match, as far as the first snapshot of one player of each team tells what will play."""
+        names = {player.team: f"{player.name}@0" for player in store.players(self.league)}
+        found = {s.name: s for s in store.snapshots(self.league, brief=True, named=set(names.values()))}
+        lineup = [found[names[team]] for team in sorted(names) if names[team] in found]
+        if len(lineup) < len(self.arena.teams):
+            return
+        seats = self.side_orders(*lineup) * self.pairings
+        self.make_room(store, lineup)
+        stacks, keys = self._stacks(store, seats), self._keys(seats, 0)
+        if self._time_slices is not None:
+            self._time_slices.compile(stacks, keys)
+        else:
+            assert self._play is not None
+            self._play.ready(stacks, keys)
+
+    def _stacks(self, store: Store, seats: Sequence[Sides]) -> dict[str, PolicyStack]:
+        """Return the policies of these sides, stacked."""
         teams = [[self._load(store, seating[t]) for seating in seats] for t in range(len(self.arena.teams))]
         stacks = seat(self.arena.teams, teams, self._shapes)
         self._remember(teams)
-        return self._played(stacks, self._keys(seats, seed))
+        return stacks
 
     def mask_opponents_of(self, snapshot: Snapshot, seats: Sequence[Sides]) -> None:
         """Let one of these sides see its opponents as they were at the start, in all games from now on.

@@ -23,6 +23,13 @@ class TimeSlices:
         begin, go_on = make_stepwise_play(arena, self.length, recorded)
         self._begin, self._go_on = Compiled(begin, arena), Compiled(go_on, arena)
 
+    def compile(self, stacks: dict[str, PolicyStack], keys: jax.Array) -> None:
+        """Compile both programs for arguments of these shapes."""
+        begin = self._begin.ready(stacks, keys)
+        with self.lock.playing():
+            match_state = jax.block_until_ready(begin(stacks, keys))
+        self._go_on.ready(stacks, match_state)
+
     def play(self, stacks: dict[str, PolicyStack], keys: jax.Array) -> tuple[PlayedEpisodes, float]:
         """Play a batch; return the games on the host, and their device seconds without pauses and compilation.
 

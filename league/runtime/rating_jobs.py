@@ -1,5 +1,6 @@
 """The rating jobs of a worker: it plays batches of matches, and leaves training its share of a GPU."""
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from league.runtime.heartbeat import none_on_error
@@ -22,9 +23,27 @@ class RatingJobs:
     def __init__(self, worker: "Worker"):
         self._worker = worker
         self._evaluator: MatchEvaluator | None = None
+        self._looks_early = worker.config.budget.by_rating and worker.config.rating.share > 0
+
+    def compile_early(self) -> None:
+        """Compile the match before the first job, where ratings decide when training ends.
+
+        There the first job comes late (`match_scheduler.FIRST_RATED`), and nobody would learn the result while it
+        compiled. It begins when players have learnt, because until then training compiles the same kernels. Raises
+        nothing: what fails here fails again with the first job, which reports it.
+        """
+        if not self._looks_early or RatingMatch.kind not in self._worker.spec.kinds:
+            return
+        newest = none_on_error(self._worker.store.newest_checkpoints, self._worker.config.league) or {}
+        if all(checkpoint.iteration == 0 for checkpoint in newest.values()):
+            return
+        self._looks_early = False
+        with suppress(Exception):
+            self._compiled().compile(self._worker.store)
 
     def play(self, lease: Lease, task: RatingMatch) -> None:
         """Play the matches of a job and finish it. Raises LeaseLost, and any error of playing."""
+        self._looks_early = False
         worker, evaluator = self._worker, self._compiled()
         worker.status = {**worker.status, "doing": "rating", "pairs": len(task.lineups)}
         matches = evaluator.play(worker.store, task)

@@ -82,8 +82,10 @@ class Worker:
                 if claimed is not None:
                     self._run_job(*claimed)
                     idle_since = time.monotonic()
-                elif not self.stopping.wait(IDLE) and time.monotonic() - idle_since > 2 * BEAT:
-                    self.status = {"doing": "waiting"}
+                elif not self.stopping.wait(IDLE):
+                    self._rating.compile_early()
+                    if time.monotonic() - idle_since > 2 * BEAT:
+                        self.status = {"doing": "waiting"}
         finally:
             self.stopping.set()
             heartbeat.end()

@@ -19,6 +19,10 @@ class Compiled:
         self._ready: dict[object, Callable[..., Any]] = {}
         self.bytes = 0  # memory of the program that was compiled last
 
+    def compile(self, *args: Any) -> None:
+        """Compile the program for arguments of these shapes, for XLA's cache alone."""
+        self._program.lower(*args).compile()
+
     def ready(self, *args: Any) -> Callable[..., Any]:
         """Return the program for arguments of these shapes, all arrays; compile it now if it is not compiled yet."""
         leaves, structure = jax.tree.flatten(args)

@@ -170,6 +170,17 @@ class Trainer:
         self._points, self._meetings = [], []
         self.pool.written(checkpoints)
 
+    def compile(self, store: Store, turn: TrainingTurn) -> None:
+        """Compile the programs with which the turn begins, for XLA's cache; run nothing and make no worlds."""
+        self.pool.restore(store, turn)
+        matchups = self._matchups(store, turn)
+        key = jax.random.key(0)
+        reset = self.programs.reset.lower(jax.eval_shape(lambda: jax.random.split(key, matchups.worlds)))
+        reset.compile()
+        stacks = self._policy_stacks(matchups)
+        worlds = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), reset.out_info)
+        self.programs.rollout.compile(stacks, jax.eval_shape(with_memory, worlds, stacks), key)
+
     def too_large(self) -> memory.TooLarge:
         """Return the error for a turn that ran out of memory, with its need by XLA's count and the size of a batch."""
         at_once = len(self.arena.teams) if self._device.type == "cpu" else 1

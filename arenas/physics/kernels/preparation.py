@@ -61,6 +61,11 @@ class Preparation:
         except Exception as error:  # this depends on Warp's internals, which may differ in another version
             _warn(error)
 
+    def compile(self) -> None:
+        """Compile into Warp's cache, load nothing, and raise the first error of Warp's compilers."""
+        for compilation in compile_ahead(*self._found):
+            compilation.result()
+
     def start_loading(self) -> Callable[[], None]:
         """Start to compile what is not compiled, and to load, in threads; return a function that waits for them."""
         try:
@@ -104,21 +109,22 @@ def kernels_of(model: mujoco.MjModel, verbs: Sequence[str], device: Any, *, cont
     return list(found)
 
 
-def compile_ahead(binaries: Sequence[Binary], device: Any) -> None:
+def compile_ahead(binaries: Sequence[Binary], device: Any) -> list[Future[Any]]:
     """Compile binaries that are not in Warp's cache in threads: while NVRTC or LLVM compiles, Python's lock is free.
 
-    Those that link solvers of tiles come last, after the processes that build these.
+    Those that link solvers of tiles come last, after the processes that build these. Returns the compilations that
+    this call has started.
     """
     with _lock:
         fresh = [b for b in binaries if (device.alias, *b) not in {**_compilations, **_loads} and not _kept(b, device)]
         solvers = {binary: _solvers(binary, device) for binary in fresh}
         builds = tile_solvers.start_builds([s for each in solvers.values() for s in each], min(WORKERS, cores()))
+        started = []
         with _threads("compile") as threads:
-            for module, block_dim in sorted(fresh, key=lambda b: (bool(solvers[b]), -len(b[0].kernels))):
-                waits_for = builds if solvers[module, block_dim] else []
-                _compilations[device.alias, module, block_dim] = threads.submit(
-                    _compile, module, block_dim, device, waits_for
-                )
+            for binary in sorted(fresh, key=lambda b: (bool(solvers[b]), -len(b[0].kernels))):
+                started.append(threads.submit(_compile, binary, device, builds if solvers[binary] else []))
+                _compilations[device.alias, *binary] = started[-1]
+        return started
 
 
 def load(binaries: Sequence[Binary], device: Any) -> dict[Key, Future[Any]]:
@@ -171,10 +177,11 @@ def _solvers(binary: Binary, device: Any) -> list[tile_solvers.Solver]:
     return found
 
 
-def _compile(module: Any, block_dim: int, device: Any, waits_for: Sequence[Popen[bytes]]) -> None:
-    """Compile a binary into Warp's cache after the end of these processes."""
+def _compile(binary: Binary, device: Any, waits_for: Sequence[Popen[bytes]]) -> None:
+    """Compile a binary into Warp's cache after the end of these processes, unless another process just did."""
     tile_solvers.await_builds(waits_for)
-    module._compile(device, options=_options((module, block_dim)))
+    if not _kept(binary, device):
+        binary[0]._compile(device, options=_options(binary))
 
 
 @contextmanager

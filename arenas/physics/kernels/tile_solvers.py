@@ -10,6 +10,7 @@ The process of `start_builds` runs this file as a script; it needs no GPU.
 import inspect
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -85,4 +86,5 @@ def main(request: Mapping[str, Any]) -> None:
 
 
 if __name__ == "__main__":
+    signal.alarm(int(LONGEST))  # the process that waits for this one may have been killed
     main(json.load(sys.stdin))

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from league.commands.run.next_stage import NextStage
 from league.commands.run.summary import NEXT, summary
 from league.commands.status_line import Ticker
 from league.config import experiment as configuration
@@ -86,14 +87,20 @@ def _run_league(
     prepared: Prepared,
     on_lead: Callable[[], None],
     warm_worker: WarmWorker | None,
+    watch: Callable[[LeagueState], None] = lambda state: None,
 ) -> RunState:
-    """Manage one league, and print how far it is when it was stopped."""
+    """Manage one league, and print how far it is when it was stopped; `watch` is called with its states."""
     # The schedulers count steps by the number of worlds. The store keeps the sizes open, for a machine with another
     # device.
     episodes, pairings = prepared.rating
     sized = replace(spec, worlds=prepared.worlds, rating_worlds=episodes, rating_pairings=pairings)
     reporter = _Reporter(store, config, spec.config_toml, prepared, on_lead)
-    state = Manager(store, sized, config, warm_worker).run(reporter)
+
+    def report(league_state: LeagueState, *how: Any) -> None:
+        reporter(league_state, *how)
+        watch(league_state)
+
+    state = Manager(store, sized, config, warm_worker).run(report)
     if state == "stopped":
         at = curriculum.stage_state(store, config).newest
         where = f" at iteration {at.iteration}, {at.step:,} steps" if at else ""
@@ -109,6 +116,7 @@ def _run_stages(store: Store, spec: RunSpec, config: Config, on_lead: Callable[[
     """
     store.set_config(config.league, spec.config_toml)
     number, has_led, patience = curriculum.reached(store, config), False, RetryReporter()
+    next_stage = NextStage(config)
 
     def on_first_lead() -> None:
         nonlocal has_led
@@ -116,20 +124,25 @@ def _run_stages(store: Store, spec: RunSpec, config: Config, on_lead: Callable[[
             has_led = True
             on_lead()
 
-    while number < len(config.stages):
-        try:
-            if not _run_stage(store, spec.store, config, number, on_first_lead):
-                return
-        except Unavailable as error:  # a stage has no state outside the store, so the next try continues from there
-            if not has_led:
-                raise
-            patience.report(error)
-            time.sleep(AWAY)
-        else:
-            number += 1
+    try:
+        while number < len(config.stages):
+            try:
+                if not _run_stage(store, spec.store, config, number, on_first_lead, next_stage):
+                    return
+            except Unavailable as error:  # a stage has no state outside the store, so the next try continues from there
+                if not has_led:
+                    raise
+                patience.report(error)
+                time.sleep(AWAY)
+            else:
+                number += 1
+    finally:
+        next_stage.end()
 
 
-def _run_stage(store: Store, where: str, config: Config, number: int, on_lead: Callable[[], None]) -> bool:
+def _run_stage(
+    store: Store, where: str, config: Config, number: int, on_lead: Callable[[], None], next_stage: NextStage
+) -> bool:
     """Run a stage, unless it has ended already; return False if it was stopped. Raises ManagerError."""
     stage = configuration.stage(config, number)
     league_state = curriculum.stage_state(store, stage)
@@ -139,7 +152,8 @@ def _run_stage(store: Store, where: str, config: Config, number: int, on_lead: C
         with preparation(spec, stage, create=False) as (prepared, warm_worker):
             ends = f"it ends {curriculum.until(stage)}"
             print(f"Stage {number + 1} of {len(config.stages)}, {config.stages[number].name}: {ends}.", flush=True)
-            if _run_league(store, spec, stage, prepared, on_lead, warm_worker) == "stopped":
+            watch = next_stage.watch(number, prepared.engine)
+            if _run_league(store, spec, stage, prepared, on_lead, warm_worker, watch) == "stopped":
                 return False
         league_state = curriculum.stage_state(store, stage)
     why = curriculum.ended(stage, league_state)

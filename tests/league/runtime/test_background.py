@@ -31,7 +31,7 @@ def run(tmp_path, monkeypatch):
         def stages(*does: object) -> tuple[list[int], list[str]]:
             left, numbers, led = list(does), [], []
 
-            def stage(store, where, config, number, on_lead) -> bool:
+            def stage(store, where, config, number, on_lead, next_stage) -> bool:
                 numbers.append(number)
                 does = left.pop(0)
                 if isinstance(does, Exception):

@@ -11,6 +11,7 @@ from league.config.run_spec import RunSpec
 from league.runtime.worker import Worker
 from league.runtime.worker_process import WorkerSpec
 from league.scheduling import turn_scheduler
+from league.state.jobs import RatingMatch, encode
 from league.state.league_state import LeagueState
 from storage.records import League, Player
 from storage.store import Store
@@ -32,9 +33,9 @@ def store(tmp_path):
         yield store
 
 
-def worker(store: Store) -> Worker:
-    spec = WorkerSpec(RunSpec(store.where, None, ""), ("train",), 0, os.getppid())
-    return Worker(store, CONFIG, spec, threading.Event())
+def worker(store: Store, config: configuration.Config = CONFIG, kind: str = "train") -> Worker:
+    spec = WorkerSpec(RunSpec(store.where, None, ""), (kind,), 0, os.getppid())
+    return Worker(store, config, spec, threading.Event())
 
 
 def asked(store: Store) -> int:
@@ -67,3 +68,28 @@ def test_a_worker_that_was_told_to_stop_asks_for_nothing_more(store):
     learner._run_job(*claim(store))
     assert [job.state for job in store.jobs(LEAGUE)] == ["done"]
     assert asked(store) == 1
+
+
+@pytest.mark.parametrize("score", [0.9, None])
+def test_matches_that_end_training_are_compiled_once_when_players_have_learnt(score, store):
+    config = replace(
+        CONFIG, budget=replace(CONFIG.budget, score=score), rating=replace(CONFIG.rating, worlds=16, pairings=2)
+    )
+    learner, player = worker(store), worker(store, config, "match")
+    asked(store)
+    learner._run_job(*claim(store))
+    player._rating.compile_early()
+    assert player._rating._evaluator is None  # nobody has learnt yet
+    learner._run_job(*claim(store))
+    player._rating.compile_early()
+    made = player._rating._evaluator
+    assert (made is not None) == (score is not None)
+    task = RatingMatch((("blue@0", "red@1"), ("blue@0", "red@0")), 5)
+    store.queue([encode(LEAGUE, task, ["a", "batch"])])
+    player._run_job(*store.claim(LEAGUE, ["match"], "me", 60))
+    assert {job.state for job in store.jobs(LEAGUE) if job.kind == "match"} == {"done"}
+    evaluator = player._rating._evaluator
+    assert evaluator is not None
+    assert evaluator is (made or evaluator)
+    assert evaluator._play is not None
+    assert len(evaluator._play._ready) == 1

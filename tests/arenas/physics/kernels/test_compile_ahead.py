@@ -64,8 +64,10 @@ def test_processes_build_the_solvers_that_kernels_link(gpu, tmp_path, monkeypatc
         preparation._compilations.clear()
         preparation.compile_ahead([binary], gpu)
         assert not preparation._compilations  # it is in the cache
+        patch.setattr(binary[0], "_compile", lambda *_, **__: pytest.fail("compiled again"))
+        preparation._compile(binary, gpu, [])  # as if another process had compiled it meanwhile
     monkeypatch.setattr(warp.config, "kernel_cache_dir", str(other))
-    preparation._compile(*binary, gpu, [])
+    preparation._compile(binary, gpu, [])
     assert len(binaries(one)) == 1
     assert binaries(one) == binaries(other)
 
