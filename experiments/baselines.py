@@ -105,6 +105,7 @@ SCORING = {"lr": 3e-4, "desired_kl": 0.01, "gamma": 0.997}  # as in the preset's
 STARTS: Mapping[str, Start] = {
     "t0-kuhn-poker-v1": Start("kuhn-poker"),
     "t0-leduc-poker-v1": Start("leduc-poker"),
+    "t0-dark-hex-3-v1": Start("leduc-poker"),  # dark hex has no preset of its own
     "t1-sumo-rovers-v1": Start("quickstart"),
     "t2-sumo-unlike-v1": Start("sumo-by-team", after=("anymals-sumo", "leatherbacks-sumo")),
     "t3-soccer-1v1-v1": Start("soccer-1v1", SCORING, ("anymal-score", "leatherback-score")),

@@ -86,10 +86,15 @@ class NextStage:
         spare = cores_to_spare(stage)
         if not spare:
             return
-        self.process = subprocess.Popen(
-            provenance.command("league.commands.run.next_stage"), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, text=True, errors="replace", start_new_session=True,  # Ctrl-C is for the parent
-        )  # fmt: skip
+        try:
+            self.process = subprocess.Popen(
+                provenance.command("league.commands.run.next_stage"), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, text=True, errors="replace",
+                start_new_session=True,  # Ctrl-C is for the parent
+            )  # fmt: skip
+        except OSError as error:
+            self._tell(str(error))
+            return
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):  # it has ended already, which is told later
             self.process.stdin.write(json.dumps({"config": configuration.dumps(stage), "cores": spare}) + "\n")
@@ -101,8 +106,11 @@ class NextStage:
             return
         why = self._close() or f"the process that compiled for it ended with exit code {code}"
         if code:
-            name = self._config.stages[self._last].name
-            print(f"league: stage {name} compiles when it begins: {why}", file=sys.stderr, flush=True)
+            self._tell(why)
+
+    def _tell(self, why: str) -> None:
+        name = self._config.stages[self._last].name
+        print(f"league: stage {name} compiles when it begins: {why}", file=sys.stderr, flush=True)
 
     def _close(self) -> str:
         """Return the line that a process that ends has printed; one that hangs although it was killed is left alone."""
@@ -142,7 +150,7 @@ def compile_rollout(config: Config, arena: "Arena", count: int) -> None:
     from storage.store import Store
 
     config = replace(config, after=())
-    with tempfile.TemporaryDirectory() as folder, Store.open(folder, create=True) as store:
+    with tempfile.TemporaryDirectory(prefix="robot-league-") as folder, Store.open(folder, create=True) as store:
         create(store, config, arena)
         trainer = Trainer(config, arena, store.players(config.league), count)
         while True:

@@ -124,13 +124,20 @@ def _cross_play(task: Task, policies: Sequence[str], rows: Sequence[Row]) -> dic
     games = [row for row in rows if row["b"] in policies]
     if not games:
         return None
-    payoff = _payoff(task, games)
     first = [name for name in policies if team_of(task, name) in (None, task.teams[0])]
     second = first if task.alike else [name for name in policies if name not in first]
+    return cross_play(_payoff(task, games), first, second)
+
+
+def cross_play(payoff: Payoff, first: Sequence[str], second: Sequence[str]) -> dict[str, Any]:
+    """Return the scores of each policy in `first` against each in `second`, and what they say of seeds.
+
+    Both name policies seed by seed. If they are the same, the result has `spread`, else `off_diagonal_less_diagonal`.
+    """
     table = np.array([[0.5 if a == b else payoff.score(a, b).score for b in second] for a in first])
     off = ~np.eye(len(first), dtype=bool)
-    found: dict[str, Any] = {"rows": first, "columns": second, "scores": np.round(table, DIGITS).tolist()}
-    if task.alike:
+    found: dict[str, Any] = {"rows": list(first), "columns": list(second), "scores": np.round(table, DIGITS).tolist()}
+    if list(first) == list(second):
         return {**found, "spread": round(float(np.abs(table[off] - 0.5).mean()), DIGITS)}
     return {**found, "off_diagonal_less_diagonal": round(float(table[off].mean() - table[~off].mean()), DIGITS)}
 

@@ -100,7 +100,7 @@ TASKS: Mapping[str, Task] = {
         Task(
             "t2-sumo-unlike-v1", "sumo-by-team", "53ad9c7220344f80",
             {"blue": "anymal:56:12+anymal:56:12", "red": "leatherback:14:2+leatherback:14:2"},
-            "two ANYmals against two Leatherbacks in a ring", lacks=GPU,
+            "two ANYmals against two Leatherbacks in a ring", lacks=SEEDS,
         ),
         Task(
             "t3-soccer-1v1-v1", "soccer-1v1", "b2aedb1edf484053", {"blue": "anymal:66:12", "red": "leatherback:24:2"},

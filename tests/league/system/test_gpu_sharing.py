@@ -164,7 +164,10 @@ def test_a_match_in_stretches_is_the_match_at_once_and_ends_with_its_last_episod
     keys, recorded = jax.random.split(jax.random.key(3), 16), (0, 5)
     whole = jax.device_get(make_play(arena, recorded)(stacks, keys))
     played = TimeSlices(arena, recorded, Pace(1.0, lambda: True), GpuLock(None), length=7)
+    played.compile(stacks, keys)
+    compiled = {**played._begin._ready, **played._go_on._ready}
     games, seconds = played.play(stacks, keys)
+    assert {**played._begin._ready, **played._go_on._ready} == compiled
     for name in ("score", "void", "at_fault", "decisions", "causes"):
         assert np.array_equal(getattr(whole, name), getattr(games, name)), name
     longest = int(whole.decisions.max())
