@@ -19,6 +19,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arenas.physics.cpu import cores
@@ -37,6 +38,7 @@ CORES_OF_A_WORKER = 4  # that are left to each worker of the league, and more th
 MOST = 8  # cores that the process uses
 ROOM = 8.0  # GB that must be free on the GPU; the process takes about one
 NICE = 19
+AUTOGROUP = Path("/proc/self/autogroup")
 LONGEST = 600  # seconds after which the process ends itself
 PATIENCE = 5.0  # seconds in which a process that was killed has ended
 
@@ -176,9 +178,7 @@ def main() -> int:
     stdin = io.FileIO(0, closefd=False)
     request = json.loads(stdin.readline())
     threading.Thread(target=_end_with, args=(stdin,), daemon=True).start()
-    os.nice(NICE)
-    if hasattr(os, "sched_setaffinity"):  # libraries make as many threads
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-request["cores"] :])
+    _give_way(request["cores"])
     environment.prepare()
     config = configuration.loads(request["config"], "settings")
     if config.training.devices == 1:
@@ -192,6 +192,17 @@ def main() -> int:
             print(one_line(error), file=answer)
             return exit_codes.NO
     return exit_codes.DONE
+
+
+def _give_way(most: int) -> None:
+    """Lower the priority of this process, and use so many cores."""
+    os.nice(NICE)
+    with suppress(
+        OSError
+    ):  # Linux shares cores among sessions before niceness counts, and this one is its own (sched(7))
+        AUTOGROUP.write_text(str(NICE))
+    if hasattr(os, "sched_setaffinity"):  # libraries make as many threads
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-most:])
 
 
 def _has_room() -> bool:

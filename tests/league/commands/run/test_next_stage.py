@@ -182,6 +182,16 @@ def test_it_ends_when_its_parent_is_killed(tmp_path):
     wait_until_gone(pid)
 
 
+@pytest.mark.skipif(not next_stage.AUTOGROUP.exists(), reason="sessions do not share cores here")
+def test_its_session_gives_way_to_others(compiles, tmp_path):
+    compiler = compiles(config(odd(tmp_path, "time.sleep(1e6)")))
+    compiler.watch(0, "warp")(at(1))
+    group, deadline = Path(f"/proc/{compiler.process.pid}/autogroup"), time.monotonic() + 100
+    while not group.read_text().endswith("nice 19\n"):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
 @pytest.mark.slow
 def test_the_stage_compiles_no_kernel_and_no_rollout_any_more(compiles, tmp_path, monkeypatch):
     monkeypatch.setenv("ROBOT_LEAGUE_CACHE", str(tmp_path))
