@@ -1,20 +1,20 @@
 """Model card: the data of a frozen policy in the store as a page. All its content comes from the store."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dashboards.text import clock
 from league.queries.query import Open, score_text
-from league.snapshots.policy_file import ladders, rating_row
+from league.snapshots.policy_file import rating_row
 from matchmaking.ratings.ladder import ANCHOR_ELO, UNKNOWN, Ladder
 from storage.records import Snapshot
 
 
-def card(league: Open, about: Mapping[str, Any], file: str) -> str:
-    """Return the card of a snapshot that was exported to a file, as Markdown."""
+def card(league: Open, about: Mapping[str, Any], file: str, rated: Sequence[Ladder]) -> str:
+    """Return the card of a snapshot that was exported to a file, as Markdown; it has played on the ladders `rated`."""
     snapshot = next(s for s in league.store.snapshots(league.league) if s.name == about["name"])
     parts = [f"# {snapshot.name} of league {league.league}", _facts(about, file)]
-    for ladder in ladders(league, snapshot):
+    for ladder in rated:
         parts += _rated(league, ladder, snapshot)
     if about["rating"] is None:
         parts.append("It has played no rating match.")

@@ -10,7 +10,7 @@ import json
 import math
 import struct
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,8 +54,11 @@ class Policy(NamedTuple):
         return save(ordered, metadata={KEY: json.dumps(self.about, sort_keys=True, allow_nan=False)})
 
 
-def export(league: Open, name: str) -> Policy:
-    """Return a snapshot of a league with its metadata. Raises UnknownName, StorageError (a script, damage)."""
+def export(league: Open, name: str, rated: Sequence[Ladder] | None = None) -> Policy:
+    """Return a snapshot of a league with its metadata. Raises UnknownName, StorageError (a script, damage).
+
+    `rated`, the ladders on which it has played, saves reading if the caller has them already.
+    """
     snapshot = league.snapshot(name)
     if snapshot.script is not None:
         raise StorageError(f"{name} is a script, which has no weights to export; every league of its arena has it.")
@@ -68,10 +71,12 @@ def export(league: Open, name: str) -> Policy:
         agents = agents_of(found, snapshot.roster)
     except ValueError as error:
         raise StorageError(f"{name} is of a network that this version cannot export: {shortened(error)}.") from None
-    return Policy(found, about(league, snapshot, agents))
+    return Policy(found, about(league, snapshot, agents, ladders(league, snapshot) if rated is None else rated))
 
 
-def about(league: Open, snapshot: Snapshot, agents: list[dict[str, Any]]) -> dict[str, Any]:
+def about(
+    league: Open, snapshot: Snapshot, agents: list[dict[str, Any]], rated: Sequence[Ladder]
+) -> dict[str, Any]:  # fmt: skip
     """Return a snapshot's metadata as JSON: player, roster, networks, arena, settings, training and rating."""
     return {
         "format": FORMAT, "league": league.league, "name": snapshot.name, "digest": snapshot.digest,
@@ -79,7 +84,7 @@ def about(league: Open, snapshot: Snapshot, agents: list[dict[str, Any]]) -> dic
         "arena": snapshot.arena._asdict() if snapshot.arena else None, "settings": snapshot.settings,
         "parents": _parents(league, snapshot), "iteration": snapshot.iteration, "steps": snapshot.step,
         "seconds": snapshot.seconds, "versions": _versions(league, snapshot), "created": snapshot.created,
-        "rating": _rating(league, snapshot),
+        "rating": _rating(league, snapshot, rated),
     }  # fmt: skip
 
 
@@ -95,8 +100,8 @@ def rating_row(league: Open, ladder: Ladder, snapshot: Snapshot) -> Row:
     return next(r for r in rating_rows(ladder, snapshots, players, league.void_limit()) if r["name"] == snapshot.name)
 
 
-def _rating(league: Open, snapshot: Snapshot) -> dict[str, Any] | None:
-    for ladder in ladders(league, snapshot)[:1]:
+def _rating(league: Open, snapshot: Snapshot, rated: Sequence[Ladder]) -> dict[str, Any] | None:
+    for ladder in rated[:1]:
         row = rating_row(league, ladder, snapshot)
         about = {name: row[name] for name in ArenaKey._fields} | {"episodes": row["games"]}
         if ladder.one_team:

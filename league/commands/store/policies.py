@@ -61,7 +61,8 @@ def export(args: list[str]) -> int:
     if not formats:
         _need(options.output, "-o FILE", "export")
     with options.open() as league:
-        policy = policy_file.export(league, options.snapshot)
+        rated = policy_file.ladders(league, league.snapshot(options.snapshot))
+        policy = policy_file.export(league, options.snapshot, rated)
         path = Path(str(options.output)) if options.output else Path(f"{policy.about['name']}.safetensors")
         require_file_name(path)
         files = programs(policy, stem(path), formats)
@@ -72,7 +73,7 @@ def export(args: list[str]) -> int:
         by_agent: dict[int, list[str]] = {}
         for file, (number, _) in files.items():
             by_agent.setdefault(number, []).append(file.name)
-        text = card(league, policy.about, path.name) + interface.section(policy, path.name, by_agent)
+        text = card(league, policy.about, path.name, rated) + interface.section(policy, path.name, by_agent)
         with ExitStack() as opened:
             opened.enter_context(new_file(page)).write(text.encode())
             opened.enter_context(new_file(path)).write(data := policy.to_bytes())

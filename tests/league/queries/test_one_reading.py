@@ -10,14 +10,18 @@ from league.commands.analyse.explain import explain
 from league.commands.analyse.payoffs import forgetting, meta, payoff
 from league.commands.analyse.ratings import ratings
 from league.commands.run.status import status
+from league.commands.store.policies import export
 from league.commands.store.thin import thin
 from league.commands.watch.report import report
 from league.queries.page import league_page
 from league.queries.query import Open
 from storage.recordings.recording import to_bytes
+from storage.records import Job
 from storage.store import Store
 from tests.dashboards.cars import cars
 from tests.league.leagues import WARP, C, filled, finish, match
+from tests.league.snapshots.test_policy_file import league_at
+from tests.league.snapshots.test_policy_file import match as exported
 
 LADDERS = 2
 
@@ -59,6 +63,16 @@ def test_a_command_sums_each_ladder_once(folder, tmp_path, sums, command, words,
     words = [word.format(out=tmp_path / "page.html") for word in words]
     assert command([*words, "--store", str(folder)]) == 0
     assert len(sums) == times
+
+
+def test_a_policy_and_its_card_sum_each_ladder_once(tmp_path, sums):
+    with league_at(tmp_path / "home", "home") as store:
+        store.queue([Job("home", "any", "played")])
+        claimed = store.claim("home", ["any"], "x", 60)
+        assert claimed is not None
+        store.finish(claimed[0], matches=[exported("blue@4", "blue@0", 30, 4, 6)])
+    assert export(["blue@4", "-o", str(tmp_path / "blue.safetensors"), "--store", str(tmp_path / "home")]) == 0
+    assert len(sums) == 1
 
 
 def test_thinning_the_page_and_a_notebook_sum_each_ladder_once(folder, sums):
