@@ -24,7 +24,7 @@ class TimeSlices:
         self._begin, self._go_on = Compiled(begin, arena), Compiled(go_on, arena)
 
     def compile(self, stacks: dict[str, PolicyStack], keys: jax.Array) -> None:
-        """Compile both programs for arguments of these shapes."""
+        """Compile both programs for arguments of these shapes; run the first, whose result is the second's argument."""
         begin = self._begin.ready(stacks, keys)
         with self.lock.playing():
             match_state = jax.block_until_ready(begin(stacks, keys))

@@ -46,8 +46,8 @@ def metrics(
     Each policy has its rating from a fit of its own, so that it does not depend on the policies beside it.
     """
     own = {name: [row for row in rows if row["a"] == name and row["b"] in references.names] for name in policies}
-    played = {(row["a"], row["b"]) for row in references.rows}  # by now, if references were added since the entry
-    between = [row for row in rows if row["a"] in references.names and (row["a"], row["b"]) not in played]
+    played = {frozenset((row["a"], row["b"])) for row in references.rows}  # some perhaps since the entry
+    between = [row for row in rows if row["a"] in references.names and frozenset((row["a"], row["b"])) not in played]
     found = [_of_policy(task, name, own[name], between, references) for name in policies]
     return {
         "policies": found,
@@ -88,7 +88,8 @@ def seconds_to_75(
     middle = [each.name for each in references.references if each.stage == MIDDLE]
     for each in sorted(curve, key=lambda each: each["seconds"]):
         own = [row for row in rows if row["a"] == each["name"] and row["b"] in middle]
-        if own and _payoff(task, own).score(each["name"], *middle).score >= 0.75:
+        met = dict.fromkeys(row["b"] for row in own)  # not those that were added since
+        if own and _payoff(task, own).score(each["name"], *met).score >= 0.75:
             return float(each["seconds"])
     return None
 

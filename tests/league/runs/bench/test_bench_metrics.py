@@ -92,6 +92,8 @@ def test_the_first_policy_of_a_training_that_beats_the_middle_counts():
     rows += [row("c1", "idle", 64, 0, 0)]
     assert metrics.seconds_to_75(SUMO, curve, rows, middle) == 120.0
     assert metrics.seconds_to_75(SUMO, curve[2:], rows, middle) is None
+    another = ReferenceSet((*middle.references, Reference("new", "learnt", stage="middle")), (), "")
+    assert metrics.seconds_to_75(SUMO, curve, rows, another) == 120.0  # one that was added since and not met
 
 
 def test_rows_that_do_not_give_the_figures_are_told_with_both():
@@ -134,12 +136,13 @@ def test_an_entry_stays_where_references_were_added_since(monkeypatch):
 
 
 def test_games_of_references_that_an_entry_played_count_once():
-    pair = row("idle", "pusher", 10, 0, 54)
+    pair, reverse = row("idle", "pusher", 10, 0, 54), row("pusher", "idle", 54, 0, 10)
     rows = [row("e1", "idle", 60, 0, 4), pair]
-    with_games = ReferenceSet(scripts("idle", "pusher"), (pair,), "")
-    without = ReferenceSet(scripts("idle", "pusher"), (), "")
-    known, own = (metrics.metrics(SUMO, ["e1"], rows, each)["policies"][0]["rating"] for each in (with_games, without))
-    assert known == own
+    once, same, turned = (
+        metrics.metrics(SUMO, ["e1"], rows, ReferenceSet(scripts("idle", "pusher"), own, ""))["policies"][0]["rating"]
+        for own in ((), (pair,), (reverse,))
+    )
+    assert once == same == turned
 
 
 def test_a_set_of_references_is_kept_while_it_only_grows(tmp_path, monkeypatch):
