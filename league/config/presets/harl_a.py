@@ -78,6 +78,14 @@ def galaga_1v1() -> Config:
     return _ladder("galaga-1v1", *_galaga("1v1"))
 
 
+def galaga_1v1_sight() -> Config:
+    """3D Galaga of one tank and one drone that see each other, by the same stages, then by turns: both learn."""
+    room = {"buffer": 8}  # so many numbers of an observation tell of the other side, 0 in the stages
+    turns = {"kind": "leapfrog", "learner": 1, "until_score": 0.7, "period_steps": 15_000_000}
+    match = {"arena": {"rich": True, **room}, "training": {"schedule": turns}}
+    return _ladder("galaga-1v1", *_galaga("1v1", **room), match=match)
+
+
 def galaga_2v2() -> Config:
     """3D Galaga of two tanks and two drones within walls, by the same stages."""
     return _ladder("galaga-2v2", *_galaga("2v2"))
@@ -105,8 +113,8 @@ RATING = {"share": 0.3}
 that has reached its bar trains on until the next batch is over."""
 
 
-def _stage(name: str, arena: str, **budget: Any) -> Stage:
-    return Stage(name, {"arena": {"name": arena}, "budget": budget, "rating": RATING})
+def _stage(name: str, arena: str, settings: Mapping[str, Any] | None = None, **budget: Any) -> Stage:
+    return Stage(name, {"arena": {"name": arena, **(settings or {})}, "budget": budget, "rating": RATING})
 
 
 def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -> Stage:
@@ -143,9 +151,9 @@ SOCCER = (
 )
 
 
-def _galaga(size: str) -> tuple[Stage, ...]:
+def _galaga(size: str, **settings: Any) -> tuple[Stage, ...]:
     """Return the stages in which tank and drone learn alone, with the observations of the game of that size."""
     return (
-        _stage("aim", f"galaga-aim-{size}", success=0.9, steps=50_000_000),
-        _stage("fly", f"galaga-fly-{size}", success=0.9, steps=200_000_000),
+        _stage("aim", f"galaga-aim-{size}", settings, success=0.9, steps=50_000_000),
+        _stage("fly", f"galaga-fly-{size}", settings, success=0.9, steps=200_000_000),
     )
