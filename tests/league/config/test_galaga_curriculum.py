@@ -47,3 +47,4 @@ def test_where_both_see_each_other_the_tank_is_as_slow_alone_as_in_the_match_and
     assert (aim.arena.buffer, match.arena.rich) == (8, True)
     schedule = match.training.schedule
     assert (schedule.kind, schedule.learner, schedule.until_score) == ("leapfrog", 1, 0.7)
+    assert (match.learner.lr, match.learner.gamma, match.training.shaping_steps) == (3e-4, 0.995, 0)
