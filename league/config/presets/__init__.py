@@ -33,7 +33,6 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
     "sumo-by-team-skills": over_skills.sumo_by_team,
     "sumo-within-team-skills": over_skills.sumo_within_team,
     "galaga-1v1": harl_a.galaga_1v1,
-    "galaga-1v1-sight": harl_a.galaga_1v1_sight,
     "galaga-2v2": harl_a.galaga_2v2,
     "run-to-goal": related_work.run_to_goal,
     "sumo-ants": related_work.sumo_ants,

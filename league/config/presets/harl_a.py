@@ -78,23 +78,6 @@ def galaga_1v1() -> Config:
     return _ladder("galaga-1v1", *_galaga("1v1"))
 
 
-def galaga_1v1_sight() -> Config:
-    """3D Galaga of a slow tank and a drone that see each other, by the same stages, then by turns from even starts.
-
-    By HARL-A's rules a tank turns at up to 5 rad/s. One that has learnt to aim then wins 98 to 100 % against the first
-    drone, which has learnt nothing from that after 170 to 260 million steps; with a ray of 0.3 to 1.5 m instead of an
-    aim it is the same. At 0.5 rad/s the first tank wins 26 to 73 %, and the drone learns from there: 64 to 80 % in 0.7
-    million steps. The tank did not in 2 million (docs/arenas/galaga.md); on a GPU this was not run.
-    """
-    slow = {"tank_speed": 0.5}
-    room = {"buffer": 8}  # so many numbers of an observation tell of the other side, 0 in the stages
-    turns = {"kind": "leapfrog", "learner": 1, "until_score": 0.7, "period_steps": 15_000_000}
-    match = {"arena": {"rich": True, "rules": slow, **room}, "training": {"schedule": turns}}
-    aim, fly = _galaga("1v1", **room)
-    aim = replace(aim, settings={**aim.settings, "arena": {**aim.settings["arena"], "rules": slow}})
-    return _ladder("galaga-1v1", aim, fly, match=match)
-
-
 def galaga_2v2() -> Config:
     """3D Galaga of two tanks and two drones within walls, by the same stages."""
     return _ladder("galaga-2v2", *_galaga("2v2"))
@@ -112,7 +95,7 @@ def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) 
         normalise_observations=True,
     )  # fmt: skip
     training = replace(config.training, rollout_length=24, shaping_steps=50_000_000, snapshots_per_doubling=4)
-    last = Stage("match", {key: MATCH.get(key, {}) | (match or {}).get(key, {}) for key in {**MATCH, **(match or {})}})
+    last = Stage("match", {**MATCH, **(match or {})})
     budget = Budget(rating_time="5m")
     return replace(config, league=arena, learner=learner, training=training, budget=budget, stages=(*stages, last))
 
@@ -129,8 +112,8 @@ RATING = {"share": 0.3}
 that has reached its bar trains on until the next batch is over."""
 
 
-def _stage(name: str, arena: str, settings: Mapping[str, Any] | None = None, **budget: Any) -> Stage:
-    return Stage(name, {"arena": {"name": arena, **(settings or {})}, "budget": budget, "rating": RATING})
+def _stage(name: str, arena: str, **budget: Any) -> Stage:
+    return Stage(name, {"arena": {"name": arena}, "budget": budget, "rating": RATING})
 
 
 def _scoring(arena: str, ease: float, rules: Mapping[str, Any], **budget: Any) -> Stage:
@@ -167,9 +150,9 @@ SOCCER = (
 )
 
 
-def _galaga(size: str, **settings: Any) -> tuple[Stage, ...]:
+def _galaga(size: str) -> tuple[Stage, ...]:
     """Return the stages in which tank and drone learn alone, with the observations of the game of that size."""
     return (
-        _stage("aim", f"galaga-aim-{size}", settings, success=0.9, steps=50_000_000),
-        _stage("fly", f"galaga-fly-{size}", settings, success=0.9, steps=200_000_000),
+        _stage("aim", f"galaga-aim-{size}", success=0.9, steps=50_000_000),
+        _stage("fly", f"galaga-fly-{size}", success=0.9, steps=200_000_000),
     )
