@@ -21,7 +21,7 @@ from typing import Any
 
 from league.config.experiment import Config
 from league.config.run_spec import RunSpec
-from league.runtime.worker_process import WorkerSpec, work
+from league.runtime.worker_process import WorkerSpec, run_process
 from league.system import provenance
 from league.system.arena_build import Built
 
@@ -154,4 +154,4 @@ def await_assignment(request: Mapping[str, Any], built: Built) -> None:
     assert isinstance(sys.stdout, io.TextIOWrapper)
     sys.stdout.reconfigure(line_buffering=sys.stdout.isatty())
     spec = json.loads(line)
-    work(WorkerSpec(**{**spec, "run": RunSpec(**spec["run"]), "kinds": tuple(spec["kinds"])}), built)
+    run_process(WorkerSpec(**{**spec, "run": RunSpec(**spec["run"]), "kinds": tuple(spec["kinds"])}), built)

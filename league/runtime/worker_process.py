@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -66,6 +67,18 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
     if worker.unfit:
         report_unfit(worker)
         sys.exit(exit_codes.UNFIT)
+
+
+def run_process(spec: WorkerSpec, built: "Built | None" = None) -> None:
+    """Work as `work` does, in a process of the manager's; end it at once when all is in the store.
+
+    The exit handlers of libraries, and the destruction of what they hold, take seconds for which the manager waits.
+    """
+    work(spec, built)
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(exit_codes.DONE)
 
 
 def report_unfit(worker: Worker) -> None:

@@ -24,7 +24,7 @@ from league.runtime.worker_process import WorkerSpec
 from league.state.jobs import TrainingTurn
 from league.system.arena_build import Built, build
 from storage.store import Store
-from tests.league.conftest import ENVIRONMENT, start, wait_for
+from tests.league.conftest import ENVIRONMENT, call, start, wait_for
 
 CONFIG = replace(configuration.default("rock-paper-scissors"), league="tiny")
 GAME = (
@@ -171,6 +171,35 @@ def test_it_has_ended_when_nothing_is_to_be_done_or_another_process_is_to_manage
     assert command.run(asked) == 0
     assert "Nobody in league tiny can learn any more" in capsys.readouterr().out
     assert left + preparing(os.getpid()) == []
+
+
+LEAVES = """
+import atexit, os
+from dataclasses import dataclass
+from pathlib import Path
+from tests.arenas.solo import SoloSettings
+
+@dataclass(frozen=True)
+class Own(SoloSettings):
+    name: str = "own"
+
+    def build(self, **how):
+        atexit.register(Path(f"left-{os.getpid()}").touch)
+        return super().build(**how)
+
+ARENAS = (Own(),)
+"""
+
+
+def test_workers_that_have_done_their_work_wait_for_no_exit_handler(tmp_path):
+    (tmp_path / "own.py").write_text(LEAVES)
+    game = (f"{tmp_path / 'own.py'}:own", *GAME[2:], "--workers.match", "1")
+    done = call("run", "--arena.name", *game, "--steps", "512", "--budget.rating_time", "0s", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.glob("left-*"))
+    with Store.open(tmp_path / "league-data") as store:
+        assert store.newest_checkpoints("tiny")["runner"].step == 512
+        assert not store.workers("tiny", 1e6)
 
 
 class FakeWarmWorker:
