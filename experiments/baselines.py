@@ -41,6 +41,7 @@ from league.system.environment import prepare
 prepare()  # before jax reads the environment
 
 from league.commands.cli import guarded
+from league.config import experiment
 from league.config.experiment import Config, change, dumps
 from league.config.presets import preset
 from league.config.schema import ConfigError
@@ -93,12 +94,19 @@ PATIENCE = 5.0
 class Start:
     """Settings that all methods of a task share: the preset whose learner and training they take, and differences.
 
-    `after` are policies that come with the package, from which players start.
+    `after` are policies that come with the package, from which players start. With `matches` the settings are those of
+    the preset's last stage.
     """
 
     preset: str
     learner: Mapping[str, Any] = field(default_factory=dict)
     after: tuple[str, ...] = ()
+    matches: bool = False
+
+    def settings(self) -> Config:
+        """Return the settings of the preset, or of its last stage."""
+        config = preset(self.preset)
+        return experiment.stage(config, len(config.stages) - 1) if self.matches else config
 
 
 SCORING = {"lr": 3e-4, "desired_kl": 0.01, "gamma": 0.997}  # as in the preset's stages in which robots learn to score
@@ -107,7 +115,7 @@ STARTS: Mapping[str, Start] = {
     "t0-leduc-poker-v1": Start("leduc-poker"),
     "t0-dark-hex-3-v1": Start("leduc-poker"),  # dark hex has no preset of its own
     "t1-sumo-rovers-v1": Start("quickstart"),
-    "t2-sumo-unlike-v1": Start("sumo-by-team", after=("anymals-sumo", "leatherbacks-sumo")),
+    "t2-sumo-unlike-v1": Start("sumo-by-team", after=("anymals-sumo", "leatherbacks-sumo"), matches=True),
     "t3-soccer-1v1-v1": Start("soccer-1v1", SCORING, ("anymal-score", "leatherback-score")),
     "t4-galaga-1v1-v1": Start("galaga-1v1", after=("minitank-galaga", "crazyflie-galaga")),
     "t5-pursuit-v1": Start("galaga-1v1", {"share_actors": True}),  # pursuit has no preset of its own
@@ -134,7 +142,7 @@ class Entry:
 def config_of(task: Task, method: str, seed: int, args: argparse.Namespace) -> Config:
     """Return the settings of a league. Raises ConfigError or ValueError, one line, for a number that cannot be."""
     start, config, each = STARTS[task.name], task.config(), max(1, args.steps // args.snapshots)
-    base = preset(start.preset)
+    base = start.settings()
     learner = replace(base.learner, **start.learner)
     if method == "magnet":
         learner = replace(learner, magnet_coef=learner.magnet_coef or MAGNET)

@@ -28,7 +28,7 @@ def rovers() -> Config:
     """
     config = default("sumo-2v2")
     learner = replace(config.learner, architecture=Architecture((128, 128)), share_actors=True, gamma=0.99)
-    training = replace(config.training, snapshots_per_doubling=2)
+    training = replace(config.training, snapshots_per_doubling=4)
     return replace(config, league="rovers", learner=learner, training=training)
 
 

@@ -97,3 +97,14 @@ def test_alphastars_league_runs_and_says_how_it_stands(tmp_path, capsys):
     assert explain(["blue-main-exploiter", "--format", "json", *where]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["role"], found["kind"]) == ("main_exploiter", "exploit")
+
+
+@pytest.mark.parametrize("name", ["sumo-by-team", "sumo-within-team", "soccer-1v1", "soccer-2v2", "galaga-1v1"])
+def test_matches_of_harl_a_have_the_learner_with_which_its_figures_were_reached(name):
+    config = presets.preset(name)
+    *alone, match = (configuration.stage(config, number) for number in range(len(config.stages)))
+    assert (match.learner.lr, match.learner.critic_lr, match.learner.gamma) == (3e-4, 1e-3, 0.995)
+    assert (match.training.rollout_length, match.training.shaping_duration) == (48, 0)
+    assert alone[0].learner == config.learner
+    assert alone[0].training.rollout_length == config.training.rollout_length
+    assert match.budget.steps == 500_000_000

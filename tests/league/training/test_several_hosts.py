@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from league.training.data_parallel.rank_watch import RankWatch
 from league.training.data_parallel.several_hosts import Ranks
 from storage.store import Store
 from tests.faults.servers import free_port
+from tests.faults.supervisors.hosts import ADDRESSES, inside, ip, namespaces
 from tests.league.conftest import ENVIRONMENT, call, command, start, wait_for
 from tests.league.training.test_data_parallel import LEAGUE, Seat, children, spoil
 
@@ -339,26 +339,13 @@ def test_numbers_that_do_not_fit_and_ranks_that_do_not_come_are_told_in_a_line(t
 # Two network namespaces ----------------------------------------------------------------------------------------------
 
 
-def ip(*words: str) -> bool:
-    return subprocess.run(["ip", *words], capture_output=True, check=False).returncode == 0
-
-
 @pytest.fixture
 def hosts() -> Iterator[tuple[str, str]]:
-    """Two network namespaces with a line between them: 10.77.0.1 and 10.77.0.2."""
-    names = (f"league{os.getpid()}a", f"league{os.getpid()}b")
-    try:
-        made = shutil.which("ip") is not None and all(ip("netns", "add", name) for name in names)
-        if not made or not ip("link", "add", "v0", "netns", names[0], "type", "veth", "peer", "v1", "netns", names[1]):
+    """Two network namespaces with a line between them."""
+    with namespaces() as names:
+        if names is None:
             pytest.skip("network namespaces need permission")
-        for number, name in enumerate(names):
-            assert ip("-n", name, "addr", "add", f"10.77.0.{number + 1}/24", "dev", f"v{number}")
-            assert ip("-n", name, "link", "set", f"v{number}", "up")
-            assert ip("-n", name, "link", "set", "lo", "up")
         yield names
-    finally:
-        for name in names:
-            ip("netns", "del", name)
 
 
 @pytest.mark.slow
@@ -367,10 +354,9 @@ def test_two_hosts_train_what_one_trains(undisturbed, hosts, tmp_path):
     with managed(tmp_path, *SHORT) as manager:
         try:
             for number, name in enumerate(hosts):
-                where = ("--master-addr", "10.77.0.1", "--master-port", "29500")
+                where = ("--master-addr", ADDRESSES[0], "--master-port", "29500")
                 how = ("--nnodes", "2", "--node-rank", str(number), "--nproc-per-node", "1", *where)
-                inside = ("ip", "netns", "exec", name)
-                runners.append(torchrun(tmp_path, f"host{number}", *how, prefix=inside))
+                runners.append(torchrun(tmp_path, f"host{number}", *how, prefix=inside(name)))
             assert codes(runners) == [0, 0], (tmp_path / "host0.txt").read_text()
         finally:
             for runner in runners:
@@ -382,13 +368,9 @@ def test_two_hosts_train_what_one_trains(undisturbed, hosts, tmp_path):
 @pytest.mark.slow
 def test_a_host_that_vanishes_ends_the_turn_on_both(hosts, tmp_path):
     """No connection is closed: it takes as long as a lease until either side knows."""
-
-    def inside(rank: int) -> tuple[str, ...]:
-        return ("ip", "netns", "exec", hosts[rank])
-
     with (
         managed(tmp_path, *ENDLESS, "--workers.lease", "10"),
-        ranks(tmp_path, 0, 1, address="10.77.0.1", prefix=inside) as both,
+        ranks(tmp_path, 0, 1, address=ADDRESSES[0], prefix=lambda rank: inside(hosts[rank])) as both,
     ):
         learning(tmp_path)
         assert ip("-n", hosts[1], "link", "set", "v1", "down")
