@@ -10,6 +10,7 @@ the writing, while the stage before is still under way.
 import json
 import os
 import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -24,7 +25,7 @@ from league.runtime.bootstrap import create, players_of, validate_first_start, v
 from league.runtime.validation import validate
 from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
 from league.state.team_exchange import as_made, players_in
-from league.system import devices, environment
+from league.system import devices, environment, exit_codes
 from league.system.arena_build import Built, rating_batch, worlds
 from league.system.batch_sizes import RATING
 from storage.errors import NotAStore, StorageError, Unavailable
@@ -58,6 +59,7 @@ class PrepareError(Exception):
 
 
 _MODULE = "league.runtime.preflight"
+LOOK = 1.0  # seconds between two checks for the parent
 
 # In the manager's process --------------------------------------------------------------------------------------------
 
@@ -221,6 +223,13 @@ def _import_trainer() -> None:
     import league.training.trainer  # noqa: F401
 
 
+def _end_with(parent: int | None, is_worker: threading.Event) -> None:
+    """End this process when its parent is gone, even if it hangs; a worker first finishes its job."""
+    while not is_worker.wait(LOOK):
+        if os.getppid() != parent:
+            os._exit(exit_codes.NO)
+
+
 def main() -> None:
     """Read requests from stdin and answer them on stdout, in the process that `prepare` starts; then become a worker.
 
@@ -229,7 +238,8 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it may reach the whole group; the parent decides
     environment.prepare()
     message, built = await_message(), None
-    outputs = message.get("outputs", ())
+    outputs, is_worker = message.get("outputs", ()), threading.Event()
+    threading.Thread(target=_end_with, args=(message.get("parent"), is_worker), daemon=True).start()
     if message.get("keep"):
         devices.take(0)  # as the later worker does, before the import of a library that would take other GPUs
     with os.fdopen(os.dup(1), "w") as answer:
@@ -248,6 +258,7 @@ def main() -> None:
                     _import_trainer()
             message = await_message()
     if message and built is not None:
+        is_worker.set()
         become_worker(outputs, message, built)
 
 

@@ -166,23 +166,26 @@ def test_the_death_of_the_process_is_told(compiles, tmp_path, capfd):
 
 
 def test_it_ends_when_its_parent_is_killed(tmp_path):
+    hangs = f"open({str(tmp_path / 'hangs')!r}, 'w'); time.sleep(1e6)"
     text = f"""
         import sys, time
         from league.commands.run import next_stage
         from tests.league.commands.run.test_next_stage import at, config
         next_stage.cores = lambda: 16
-        compiler = next_stage.NextStage(config({odd(tmp_path, "time.sleep(1e6)")!r}), {str(tmp_path / "store")!r})
+        compiler = next_stage.NextStage(config({odd(tmp_path, hangs)!r}), {str(tmp_path / "store")!r})
         compiler.watch(0, "warp")(at(1), "training")
-        print(compiler.process.pid, flush=True)
+        print(compiler.process.pid, compiler.prepared.pid, flush=True)
         time.sleep(1e6)
     """
     command = [sys.executable, "-c", "\n".join(line.strip() for line in text.splitlines())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as parent:
         assert parent.stdout is not None
-        pid = int(parent.stdout.readline())
-        assert not is_gone(pid)
+        pids = list(map(int, parent.stdout.readline().split()))
+        assert not any(map(is_gone, pids))
+        while not (tmp_path / "hangs").exists():  # who builds the arena ahead
+            time.sleep(0.05)
         parent.kill()
-    wait_until_gone(pid)
+    wait_until_gone(*pids)
 
 
 @pytest.mark.skipif(
