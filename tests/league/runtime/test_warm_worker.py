@@ -237,6 +237,39 @@ def test_workers_that_have_done_their_work_wait_for_no_exit_handler(tmp_path):
         assert not store.workers("tiny", 1e6)
 
 
+HANGS = """
+import time
+from dataclasses import dataclass
+from tests.arenas.solo import SoloSettings
+
+@dataclass(frozen=True)
+class Own(SoloSettings):
+    name: str = "own"
+
+    def build(self, **how):
+        if how["worlds"] == 16:  # of a batch of matches
+            time.sleep(1e6)
+        return super().build(**how)
+
+ARENAS = (Own(),)
+"""
+
+
+def test_a_match_worker_that_compiles_before_its_first_job_ends_with_the_league(tmp_path):
+    (tmp_path / "own.py").write_text(HANGS)
+    game = (f"{tmp_path / 'own.py'}:own", *GAME[2:], "--workers.match", "1", "--rating.worlds", "16")
+    manager = start("run", "--arena.name", *game, "--budget.success", "0.999", cwd=tmp_path)
+    try:
+        compiles = "compiling matches"
+        wait_for(tmp_path, lambda store: [w for w in store.workers("tiny", 5) if w.status.get("doing") == compiles])
+        manager.send_signal(signal.SIGINT)
+        assert manager.wait(timeout=300) == 0
+    finally:
+        manager.kill()
+    with Store.open(tmp_path / "league-data") as store:
+        assert not store.workers("tiny", 1e6)  # nobody had to be killed
+
+
 class FakeWarmWorker:
     """Stands by, notes where it is to work, and is dead as soon as it does."""
 
