@@ -15,7 +15,7 @@ the row's opponents; in an arena of one team they succeed or fail. The strength 
 | `by-team` | the curriculum of `sumo-by-team`: ANYmals score 86 % against the shipped `leatherbacks-sumo` |
 | `soccer` | two ANYmals against two Leatherbacks, over skills: each side scores 75 % against the shipped scorers |
 | `galaga` | the curriculum of `galaga-1v1`: 92 % for the tank, 61 % for the drone (HARL-A's), against first opponents |
-| `galaga-sight` | the same where both see each other |
+| `galaga-sight` | where both see each other and the tank is slow: 75 % for the drone against the first tank |
 
 `stages` has for each stage of a curriculum the seconds from the command to its beginning (its league is in the store),
 its first learning step (as in `start.py`, so without compilation) and its end (the last checkpoint or rating match).
@@ -70,7 +70,7 @@ ROWS = {
     "by-team": Row(("--preset", "sumo-by-team"), {"blue": Bar("leatherbacks-sumo", 0.86)}),
     "soccer": Row(("--preset", "soccer-2v2-skills"), {"blue": Bar("red@0", 0.75), "red": Bar("blue@0", 0.75)}),
     "galaga": Row(("--preset", "galaga-1v1"), GALAGA),
-    "galaga-sight": Row(("--preset", "galaga-1v1-sight"), GALAGA),
+    "galaga-sight": Row(("--preset", "galaga-1v1-sight"), {"red": Bar("blue@0", 0.75)}),
 }
 
 

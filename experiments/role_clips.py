@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 from dashboards.film.film import Film, save_film
 from dashboards.identity import COLOURS, MatchPlayer
+from experiments.policy_files import INITIAL
 from experiments.role_metrics import End, Game, ended_by
 from storage.recordings.recording import Recording, to_bytes
 
-INITIAL = "-0"  # ends the names of initial policies
 WANTED = (("anymal", "leatherback"), ("leatherback", "anymal"))  # who lost, ended by whom
 FILM_SECONDS, FILM_SIZE, FILM_RATE = 8.0, (800, 450), 20
 

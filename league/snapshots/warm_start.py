@@ -312,10 +312,11 @@ def _with_counts(state: dict[str, np.ndarray], roster: str, steps: int) -> dict[
     """Return the actors of a frozen policy that learnt from so many decisions, with the weight of its statistics.
 
     If the policy normalises observations, its statistics have the weight of these decisions, so that a first batch does
-    not dominate them.
+    not dominate them. They weigh at least one: the first snapshot of a later stage has learnt from none, and without a
+    weight its networks would not be kept as they are when the statistics move.
     """
     for i in range(len(roster_agents(roster))):
         trunk = f"actor.{i}.trunk.observation_"
-        known = steps if np.isfinite(state[f"{trunk}clip"]) else 0
+        known = max(1, steps) if np.isfinite(state[f"{trunk}clip"]) else 0
         state[f"actor.{i}.observed"] = np.full_like(state[f"{trunk}mean"], known)
     return state

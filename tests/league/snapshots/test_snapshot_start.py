@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
@@ -46,6 +47,22 @@ def test_players_start_from_a_snapshots_networks_and_its_statistics_count_its_st
     assert all(np.array_equal(taken[name], given[name]) for name in given)
     counts = [value for name, value in fresh.save().items() if name.startswith("actor") and name.endswith(".observed")]
     assert all((count == 700).all() for count in counts)
+
+
+def test_a_first_snapshot_with_statistics_acts_as_before_after_the_next_batch_of_another_game(store):
+    learner = new_learner(FULL, seed=3)
+    owner = replace(player("gold", 0), roster=ROSTER)
+    store.add_players([owner])
+    learner.learn(make_batch(learner, seed=1))
+    store.add_snapshots([snapshot(owner, 0, store.blobs.put(frozen(learner)), step=0)])
+    fresh = new_learner(replace(FULL, lr=1e-12), seed=9)
+    (found,) = warm_start.of(store, [Player("next", "mine", 1, "main", ROSTER)], ["cup/gold@0"]).values()
+    warm_start.start(store, fresh, found)
+    seen = torch.linspace(-1.0, 1.0, 8)[:, None].expand(8, 4)
+    before, statistics = fresh.actors[0](seen).mean.clone(), fresh.actors[0].trunk.observation_mean.clone()
+    fresh.learn(make_batch(fresh, seed=2))
+    assert not torch.allclose(fresh.actors[0].trunk.observation_mean, statistics)
+    torch.testing.assert_close(fresh.actors[0](seen).mean, before, atol=1e-4, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
