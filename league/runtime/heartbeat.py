@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arenas.physics.kernels import progress as kernel_progress
+from league.system import exit_codes
 from storage.errors import StorageError
 
 if TYPE_CHECKING:
@@ -51,6 +52,9 @@ class Heartbeat:
             none_on_error(store.heartbeat, worker.id, league, kinds, worker.pid, worker.host, self._status())
             if started is not None and none_on_error(store.stop_asked, league, started):
                 worker.stopping.set()
+            if worker.stopping.is_set() and worker.expendable and worker.spec.parent is not None:
+                none_on_error(store.remove_worker, worker.id)
+                os._exit(exit_codes.DONE)
             lease = worker.lease
             if lease is not None and time.monotonic() - renewed > config.workers.lease / 4:
                 renewed = time.monotonic()

@@ -20,7 +20,7 @@ from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.runtime.heartbeat import BEAT
 from league.runtime.warm_worker import WarmWorker
-from league.runtime.worker_process import WorkerSpec, work
+from league.runtime.worker_process import WorkerSpec, run_process
 from league.scheduling.planner import BEFORE_RATING, plan
 from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.league_state import LeagueState
@@ -180,7 +180,7 @@ class Manager:
                 slot.process, self._standby = self._standby, None
                 slot.process.assign(spec)
             else:
-                slot.process = context.Process(target=work, args=(spec,))
+                slot.process = context.Process(target=run_process, args=(spec,))
                 slot.process.start()
             slot.started = time.monotonic()
 

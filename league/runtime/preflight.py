@@ -3,17 +3,18 @@
 `prepare` starts a process for them, so that the manager never loads these libraries. The process builds the arena and
 validates the configuration against the arena and this machine. Only then does it write the league, its players and the
 scripted opponents, all of which may be there already. A configuration that it refuses leaves nothing behind. Then the
-process ends, or becomes a train worker (`league/runtime/warm_worker.py`).
+process ends, or becomes a train worker (`league/runtime/warm_worker.py`). `prepare_ahead` has it do all of this but for
+the writing, while the stage before is still under way.
 """
 
 import json
 import os
 import signal
-import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from arenas.description import describe_team
 from league.config import experiment as configuration
@@ -22,13 +23,17 @@ from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
 from league.runtime.bootstrap import create, players_of, validate_first_start, validate_stage_starts, validate_victims
 from league.runtime.validation import validate
-from league.runtime.warm_worker import WarmWorker, await_assignment, can_become_worker
-from league.state.team_exchange import players_in
+from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
+from league.state.team_exchange import as_made, players_in
+from league.system import devices, environment, exit_codes
 from league.system.arena_build import Built, rating_batch, worlds
 from league.system.batch_sizes import RATING
-from storage.errors import NotAStore, Unavailable
-from storage.records import League
+from storage.errors import NotAStore, StorageError, Unavailable
+from storage.records import League, Player
 from storage.store import Store
+
+if TYPE_CHECKING:
+    from arenas.arena import Arena
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,9 @@ class PrepareError(Exception):
         self.transient = transient
 
 
+_MODULE = "league.runtime.preflight"
+LOOK = 1.0  # seconds between two checks for the parent
+
 # In the manager's process --------------------------------------------------------------------------------------------
 
 
@@ -70,24 +78,28 @@ def prepare(spec: RunSpec, config: Config, debug: bool = False, imported: Sequen
 @contextmanager
 def preparation(
     spec: RunSpec, config: Config, debug: bool = False, imported: Sequence[str] = (), keep: bool = True,
-    create: bool = True,
+    create: bool = True, ahead: WarmWorker | None = None,
 ) -> Iterator[tuple[Prepared, WarmWorker | None]]:  # fmt: skip
     """Prepare as `prepare` does, and keep the process if it can become the first train worker.
 
     The process ends with the context; without `keep` it has ended when the context begins. Without `create` a store
     that does not exist counts as away: a stage that begins on a disk that was unmounted meanwhile makes no new store
-    below the mount point.
+    below the mount point. `ahead` is a process that waits for the request, and is replaced if it has died.
     """
     keep = keep and can_become_worker(config)
-    request = {
-        "spec": asdict(spec), "parent": os.getpid(), "imported": list(imported), "keep": keep, "create": create,
-    }  # fmt: skip
+    request = _request(spec, imported, keep, create)
     with ExitStack() as until_the_end:
         with _killed_by_signals() as children:
-            process = WarmWorker("league.runtime.preflight", debug)
-            children.append(process)
-            until_the_end.callback(process.end)
-            answer = process.ask(request)
+
+            def ask(process: WarmWorker) -> dict[str, Any]:
+                children.append(process)
+                until_the_end.callback(process.end)
+                return process.ask(request)
+
+            process, answer = ahead, ask(ahead) if ahead is not None else {}
+            if process is None or not answer:
+                process = WarmWorker(_MODULE, debug)
+                answer = ask(process)
         if "refused" in answer:
             raise ConfigError(tuple(answer["key"]), answer["refused"])
         if "away" in answer:
@@ -100,6 +112,22 @@ def preparation(
             process.end()
         found = answer["prepared"]
         yield Prepared(**{**found, "sides": tuple(found["sides"])}), process if keep else None
+
+
+def prepare_ahead(spec: RunSpec, config: Config) -> WarmWorker | None:
+    """Return a process that builds the arena of a later stage, imports all, and waits for `preparation`.
+
+    None for a stage of which that process cannot become a worker.
+    """
+    if not can_become_worker(config):
+        return None
+    process = WarmWorker(_MODULE, debug=False)
+    process.send({**_request(spec, (), keep=True, create=False), "ahead": True})
+    return process
+
+
+def _request(spec: RunSpec, imported: Sequence[str], keep: bool, create: bool) -> dict[str, Any]:
+    return {"spec": asdict(spec), "parent": os.getpid(), "imported": list(imported), "keep": keep, "create": create}
 
 
 @contextmanager
@@ -130,12 +158,27 @@ def _killed_by_signals() -> Iterator[list[WarmWorker]]:
 # In the process that prepares ----------------------------------------------------------------------------------------
 
 
-def _prepare(request: Mapping[str, Any]) -> tuple[Prepared, Built]:
-    """Do the work of `prepare`, and return also the arena that was built; of several stages, the first one's."""
+def _build_ahead(request: Mapping[str, Any]) -> Built | None:
+    """Build the arena of a stage; None if that fails, which the stage reports when it begins, or a GPU is nearly full.
+
+    The settings have been validated with the whole curriculum.
+    """
+    config = RunSpec(**request["spec"]).config()
+    with suppress(Exception):
+        if devices.has_room():
+            return Built(validate(config), config, worlds(config))
+    return None
+
+
+def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared, Built]:
+    """Do the work of `prepare`, and return also the arena that was built; of several stages, the first one's.
+
+    `ahead` is the arena that this process has built before.
+    """
     spec = RunSpec(**request["spec"])
     config = spec.config()
     stages = [configuration.stage(config, number) for number in range(len(config.stages))]
-    arenas = [validate(each, players_in(spec.store, spec.blobs, each.league)) for each in stages or [config]]
+    arenas = [_arena(each, players_in(spec.store, spec.blobs, each.league), ahead) for each in stages or [config]]
     if os.getppid() != request["parent"]:
         raise PrepareError("the process that asked has gone; nothing was written")
     validate_stage_starts(spec.store, config, list(map(players_of, stages or [config], arenas)))
@@ -155,29 +198,68 @@ def _prepare(request: Mapping[str, Any]) -> tuple[Prepared, Built]:
     return prepared, Built(arena, first, worlds(first))
 
 
-def main() -> None:
-    """Read a request from stdin and answer it on stdout, in the process that `prepare` starts."""
-    from league.system import devices, environment
-    from storage.errors import StorageError
+def _arena(config: Config, players: Sequence[Player], ahead: Built | None) -> "Arena":
+    """Return the validated arena of a league that has these players, the one built `ahead` if it is of this league."""
+    if ahead is not None and ahead.config == config:
+        return as_made(ahead.arena, players)
+    return validate(config, players)
 
+
+def _answer(request: Mapping[str, Any], ahead: Built | None) -> tuple[dict[str, Any], Built | None]:
+    """Return the answer to a request, and the arena if the league has been prepared."""
+    try:
+        prepared, built = _prepare(request, ahead)
+    except ConfigError as error:
+        return {"refused": error.message, "key": error.key}, None
+    except StorageError as error:
+        gone = isinstance(error, NotAStore) and not request["create"]
+        away = error.transient or gone
+        return {"away": str(error)} if away else {"refused": str(error), "key": ()}, None
+    return {"prepared": asdict(prepared)}, built
+
+
+def _import_trainer() -> None:
+    """Load torch and all else that a train worker needs, while the manager begins or the stage before goes on."""
+    import league.training.trainer  # noqa: F401
+
+
+def _end_with(parent: int | None, is_worker: threading.Event) -> None:
+    """End this process when its parent is gone, even if it hangs; a worker first finishes its job."""
+    while not is_worker.wait(LOOK):
+        if os.getppid() != parent:
+            os._exit(exit_codes.NO)
+
+
+def main() -> None:
+    """Read requests from stdin and answer them on stdout, in the process that `prepare` starts; then become a worker.
+
+    A request for what is to be done ahead has no answer. The first request that is refused is the last.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it may reach the whole group; the parent decides
     environment.prepare()
-    request, built = json.loads(sys.stdin.readline()), None
-    if request["keep"]:
+    message, built = await_message(), None
+    outputs, is_worker = message.get("outputs", ()), threading.Event()
+    threading.Thread(target=_end_with, args=(message.get("parent"), is_worker), daemon=True).start()
+    if message.get("keep"):
         devices.take(0)  # as the later worker does, before the import of a library that would take other GPUs
     with os.fdopen(os.dup(1), "w") as answer:
         os.dup2(2, 1)  # libraries print greetings on stdout
-        try:
-            prepared, built = _prepare(request)
-            message: dict[str, Any] = {"prepared": asdict(prepared)}
-        except ConfigError as error:
-            message = {"refused": error.message, "key": error.key}
-        except StorageError as error:
-            gone = isinstance(error, NotAStore) and not request["create"]
-            message = {"away": str(error)} if error.transient or gone else {"refused": str(error), "key": ()}
-        answer.write(json.dumps(message) + "\n")
-    if request["keep"] and built is not None:
-        built.arena.engine.compile_ahead()  # while the rest is imported and the learners are made
-        await_assignment(request, built)
+        while "spec" in message:
+            if message.get("ahead"):
+                built = _build_ahead(message)
+                _import_trainer()
+            else:
+                said, built = _answer(message, built)
+                print(json.dumps(said), file=answer, flush=True)
+                if built is None or not message["keep"]:
+                    return
+                if not RunSpec(**message["spec"]).config().stages:  # else the request for the first stage follows
+                    built.arena.engine.compile_ahead()  # while the rest is imported and the learners are made
+                    _import_trainer()
+            message = await_message()
+    if message and built is not None:
+        is_worker.set()
+        become_worker(outputs, message, built)
 
 
 if __name__ == "__main__":

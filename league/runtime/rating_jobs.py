@@ -38,8 +38,10 @@ class RatingJobs:
         if all(checkpoint.iteration == 0 for checkpoint in newest.values()):
             return
         self._looks_early = False
+        self._worker.expendable = True
         with suppress(Exception):
             self._compiled().compile(self._worker.store)
+        self._worker.expendable = False
 
     def play(self, lease: Lease, task: RatingMatch) -> None:
         """Play the matches of a job and finish it. Raises LeaseLost, and any error of playing."""

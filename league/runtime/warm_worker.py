@@ -1,27 +1,27 @@
 """The process that has prepared a league becomes its train worker: it has all imports, and the arena, already.
 
 That happens only if the process is equivalent to a spawned worker: single-device training on the first GPU, which is
-the GPU that prepared the league. If turns are spread over devices, the worker itself has no device. In a league of
-stages, no process is kept before the manager prepares a stage. All other workers are spawned, as is the worker that
-replaces this process when it dies.
+the GPU that prepared the league. If turns are spread over devices, the worker itself has no device. All other workers
+are spawned, as is the worker that replaces this process when it dies.
+
+The process that has checked a curriculum prepares also its first stage, and becomes a worker of that.
 """
 
 import io
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
-from league.config.experiment import Config
+from league.config.experiment import Config, stage
 from league.config.run_spec import RunSpec
-from league.runtime.worker_process import WorkerSpec, work
+from league.runtime.worker_process import WorkerSpec, run_process
 from league.system import provenance
 from league.system.arena_build import Built
 
@@ -29,15 +29,16 @@ KEPT_LINES = 100  # newest lines kept of the process's output while it prepares
 
 
 def can_become_worker(config: Config) -> bool:
-    """Return whether the process that prepares this league can be its first train worker."""
-    return config.training.devices == 1 and config.workers.train > 0 and not config.stages
+    """Return whether the process that prepares this league, or all its stages, can be its first train worker."""
+    leagues = [stage(config, number) for number in range(len(config.stages))] or [config]
+    return all(each.training.devices == 1 and each.workers.train > 0 for each in leagues)
 
 
 # In the manager's process --------------------------------------------------------------------------------------------
 
 
 class WarmWorker:
-    """A process that answers a request and then waits to become a worker.
+    """A process that answers requests and then waits to become a worker.
 
     A manager handles it as a process that it has spawned itself: it has the methods of multiprocessing's processes.
     """
@@ -48,6 +49,8 @@ class WarmWorker:
             provenance.command(module), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=None if debug else subprocess.PIPE, text=True, errors="replace", pass_fds=self._outputs,
         )  # fmt: skip
+        for copy in self._outputs:
+            os.close(copy)
         self._lines: deque[str] = deque(maxlen=KEPT_LINES)
         self._reader = threading.Thread(target=self._lines.extend, args=(self._process.stderr or (),), daemon=True)
         self._reader.start()  # all the while, so that a full pipe never blocks the process
@@ -58,15 +61,17 @@ class WarmWorker:
         A process that has died has ended when this returns, and all that it printed has been read.
         """
         assert self._process.stdout is not None
-        self._send({**request, "outputs": self._outputs})
-        for copy in self._outputs:
-            os.close(copy)
+        self.send(request)
         answer = self._process.stdout.readline()
         if answer.endswith("\n"):
             return json.loads(answer)
         self._process.wait()
         self._reader.join()
         return {}
+
+    def send(self, request: Mapping[str, Any]) -> None:
+        """Send a request that has no answer. The death of the process is noticed elsewhere."""
+        self._send({**request, "outputs": self._outputs})
 
     def last_line(self) -> str:
         """Return the last line that the process has printed."""
@@ -138,20 +143,19 @@ def _duplicate(stream: int) -> int:
 # In the process that has prepared ------------------------------------------------------------------------------------
 
 
-def await_assignment(request: Mapping[str, Any], built: Built) -> None:
-    """Wait for a WorkerSpec and work like a spawned process; return if none comes or the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it may reach the whole group; the manager decides
-    import league.training.trainer  # noqa: F401  (loads torch, while the manager begins)
-
+def await_message() -> dict[str, Any]:
+    """Wait for a request or a WorkerSpec, and return it; an empty one if the parent is gone."""
     line = sys.stdin.readline()
-    if not line.endswith("\n"):
-        return
+    return json.loads(line) if line.endswith("\n") else {}
+
+
+def become_worker(outputs: Sequence[int], spec: Mapping[str, Any], built: Built) -> None:
+    """Work like a spawned process, whose outputs are these descriptors."""
     sys.stdout.flush()
     nothing = os.open(os.devnull, os.O_RDONLY)
-    for copy, stream in zip((nothing, *request["outputs"]), (0, 1, 2), strict=True):
+    for copy, stream in zip((nothing, *outputs), (0, 1, 2), strict=True):
         os.dup2(copy, stream)
         os.close(copy)
     assert isinstance(sys.stdout, io.TextIOWrapper)
     sys.stdout.reconfigure(line_buffering=sys.stdout.isatty())
-    spec = json.loads(line)
-    work(WorkerSpec(**{**spec, "run": RunSpec(**spec["run"]), "kinds": tuple(spec["kinds"])}), built)
+    run_process(WorkerSpec(**{**spec, "run": RunSpec(**spec["run"]), "kinds": tuple(spec["kinds"])}), built)

@@ -43,7 +43,7 @@ R = TypeVar("R")
 class Worker:
     """The loop of one process over leases. Arena, learners and compiled matches stay in memory between jobs.
 
-    `status`, `lease` and `pace` are read by the heartbeat, which sets `stopping` and `lease_lost`. `unfit` is the
+    The heartbeat reads `status`, `lease`, `pace` and `expendable`, and sets `stopping` and `lease_lost`. `unfit` is the
     reason for which this worker cannot do jobs that others can do, as far as it is known.
     """
 
@@ -60,6 +60,7 @@ class Worker:
         self.lease_lost = False
         self.unfit: str | None = None
         self.pace: Pace | None = None
+        self.expendable = False  # while it compiles without a job: a manager that wants to end it need not wait
         self._health = WorkerHealth(store, config.league, self.id, config.workers.max_attempts)
         self._patience = lock_wait.RetryReporter()
         self._rating = RatingJobs(self)

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -43,6 +44,8 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
     an arena that this process has already.
     """
     stopping = stop_by_signals(spec.parent is not None)
+    if spec.parent is not None:  # a manager that ends the worker need not wait for its imports
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if spec.devices == 1:
         devices.take(spec.number)
     environment.prepare()
@@ -56,6 +59,7 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
     # update takes 0.39 s with one thread and 0.47 s with two, and the rollout after it 1.5 s instead of 1.9 s.
     torch.set_num_threads(max(1, cores() // 2))
     name = f"{'+'.join(spec.kinds)} worker"
+    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
     try:
         with open_store(spec, stopping) as store:
             worker = Worker(store, config, spec, stopping, built)
@@ -66,6 +70,18 @@ def work(spec: WorkerSpec, built: "Built | None" = None) -> None:
     if worker.unfit:
         report_unfit(worker)
         sys.exit(exit_codes.UNFIT)
+
+
+def run_process(spec: WorkerSpec, built: "Built | None" = None) -> None:
+    """Work as `work` does, in a process of the manager's; end it at once when all is in the store.
+
+    The exit handlers of libraries, and the destruction of what they hold, take seconds for which the manager waits.
+    """
+    work(spec, built)
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(exit_codes.DONE)
 
 
 def report_unfit(worker: Worker) -> None:

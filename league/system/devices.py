@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 from league.config.schema import ConfigError
 
+ROOM = 8.0  # GB of a GPU that must be free for a process that prepares a stage there; it takes about one
+
 
 @cache
 def gpus() -> tuple[str, ...]:
@@ -64,6 +66,12 @@ def memory() -> list[Memory]:
     mib = 2**20 / 1e9
     rows = driver_rows("index", "memory.used", "memory.total")
     return [Memory(name, float(used) * mib, float(total) * mib) for name, used, total in rows]
+
+
+def has_room() -> bool:
+    """Return whether the first GPU that this process may use has memory for another process; True if nothing tells."""
+    first = next(iter(gpus()), None)
+    return all(each.total - each.used > ROOM for each in memory() if each.name == first)
 
 
 def driver_rows(*columns: str) -> list[list[str]]:

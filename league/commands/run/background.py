@@ -31,6 +31,7 @@ from league.system.packages.versions import versions
 from league.system.provenance import code
 from storage.database.lock_wait import RetryReporter
 from storage.errors import Unavailable
+from storage.records import Worker
 from storage.store import Store
 
 AWAY = 5.0  # seconds between two attempts to begin a stage while the store is away
@@ -51,13 +52,13 @@ def manage(
     """Run the league to the end of its budget or until it is stopped; `on_lead` is called when it has begun.
 
     `config` is the configuration that `spec` has as text. A warm worker is the process that has prepared the league. A
-    curriculum is prepared here, stage by stage. Returns the exit code.
+    curriculum's stages are prepared here, the first one by the warm worker. Returns the exit code.
 
     Raises ManagerError if another process leads the league, or a turn of training was set aside.
     """
     with Store.open(spec.store, blobs=spec.blobs) as store:
         if config.stages:
-            _run_stages(store, spec, config, on_lead)
+            _run_stages(store, spec, config, on_lead, warm_worker)
         elif _run_league(store, spec, config, prepared, on_lead, warm_worker) != "stopped":
             print(f"\n{summary(config, curriculum.stage_state(store, config))}")
             _refuse_set_aside(store, config)
@@ -87,18 +88,18 @@ def _run_league(
     prepared: Prepared,
     on_lead: Callable[[], None],
     warm_worker: WarmWorker | None,
-    watch: Callable[[LeagueState], None] = lambda state: None,
+    watch: Callable[[LeagueState, RunState], None] = lambda state, activity: None,
 ) -> RunState:
-    """Manage one league, and print how far it is when it was stopped; `watch` is called with its states."""
+    """Manage one league, and print how far it is when it was stopped; `watch` is called as a manager's `report` is."""
     # The schedulers count steps by the number of worlds. The store keeps the sizes open, for a machine with another
     # device.
     episodes, pairings = prepared.rating
     sized = replace(spec, worlds=prepared.worlds, rating_worlds=episodes, rating_pairings=pairings)
     reporter = _Reporter(store, config, spec.config_toml, prepared, on_lead)
 
-    def report(league_state: LeagueState, *how: Any) -> None:
-        reporter(league_state, *how)
-        watch(league_state)
+    def report(league_state: LeagueState, activity: RunState, workers: list[Worker]) -> None:
+        reporter(league_state, activity, workers)
+        watch(league_state, activity)
 
     state = Manager(store, sized, config, warm_worker).run(report)
     if state == "stopped":
@@ -108,7 +109,9 @@ def _run_league(
     return state
 
 
-def _run_stages(store: Store, spec: RunSpec, config: Config, on_lead: Callable[[], None]) -> None:
+def _run_stages(
+    store: Store, spec: RunSpec, config: Config, on_lead: Callable[[], None], warm_worker: WarmWorker | None = None
+) -> None:
     """Run the stages one after the other, from the one that is under way, until the last has ended or one was stopped.
 
     Once a stage has begun, waits for a store that is away. Before that raises Unavailable. Raises ManagerError if a
@@ -116,7 +119,7 @@ def _run_stages(store: Store, spec: RunSpec, config: Config, on_lead: Callable[[
     """
     store.set_config(config.league, spec.config_toml)
     number, has_led, patience = curriculum.reached(store, config), False, RetryReporter()
-    next_stage = NextStage(config)
+    next_stage = NextStage(config, spec.store, warm_worker)
 
     def on_first_lead() -> None:
         nonlocal has_led
@@ -149,7 +152,7 @@ def _run_stage(
     is_last = number == len(config.stages) - 1
     if is_last or curriculum.ended(stage, league_state) is None:
         spec = RunSpec.of(where, stage)
-        with preparation(spec, stage, create=False) as (prepared, warm_worker):
+        with preparation(spec, stage, create=False, ahead=next_stage.take_prepared()) as (prepared, warm_worker):
             ends = f"it ends {curriculum.until(stage)}"
             print(f"Stage {number + 1} of {len(config.stages)}, {config.stages[number].name}: {ends}.", flush=True)
             watch = next_stage.watch(number, prepared.engine)

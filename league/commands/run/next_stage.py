@@ -1,10 +1,14 @@
-"""The process that compiles what the next stage of a curriculum needs, while the present stage trains.
+"""The processes that get the next stage of a curriculum ready, while the present stage trains.
 
-Warp's kernels go into Warp's cache and the training rollout into XLA's, where the stage's own worker finds them. XLA's
-key holds the device, and its autotuning measures on it, so the process opens the GPU that the worker will use. It
-simulates no world, and where the GPU is nearly full it does nothing.
+One builds the stage's arena, imports all and waits; it becomes the stage's first train worker. On a machine with cores
+to spare it starts when players have learnt, elsewhere when the stage has ended and its workers end, so that it takes
+neither time nor memory from them.
 
-Nobody waits for the process. Whatever it has not compiled, the stage compiles itself. It has low priority and few
+The other one compiles, with cores to spare on a GPU. Warp's kernels go into Warp's cache and the training rollout into
+XLA's, where the stage's own worker finds them. XLA's key holds the device, and its autotuning measures on it, so the
+process opens the GPU that the worker will use. It simulates no world, and where the GPU is nearly full it does nothing.
+
+Nobody waits for that process. Whatever it has not compiled, the stage compiles itself. It has low priority and few
 cores, and ends with its parent, even if that was killed. Matches are left to the worker that plays them.
 """
 
@@ -26,6 +30,11 @@ from arenas.physics.cpu import cores
 from league.commands.cli import one_line
 from league.config import experiment as configuration
 from league.config.experiment import Config
+from league.config.run_spec import RunSpec
+from league.runtime.manager import RunState
+from league.runtime.preflight import prepare_ahead
+from league.runtime.warm_worker import WarmWorker
+from league.scheduling import curriculum
 from league.state.league_state import LeagueState
 from league.system import devices, environment, exit_codes, provenance
 
@@ -36,7 +45,6 @@ ENGINES = ("warp", "jax")
 """Engines that compile for many seconds and whose programs are kept; XLA keeps none that calls the C engine."""
 CORES_OF_A_WORKER = 4  # that are left to each worker of the league, and more than half of what remains
 MOST = 8  # cores that the process uses
-ROOM = 8.0  # GB that must be free on the GPU; the process takes about one
 NICE = 19
 AUTOGROUP = Path("/proc/self/autogroup")
 LONGEST = 600  # seconds after which the process ends itself
@@ -53,30 +61,56 @@ def cores_to_spare(config: Config) -> int:
 
 
 class NextStage:
-    """Compiles for the stages of a curriculum, one after the other, in a process of its own, which `end` ends."""
+    """The processes for the stages of a curriculum, one stage after the other; `end` ends them.
 
-    def __init__(self, config: Config):
-        self._config = config
-        self._last = -1  # the stage for which a process was started last
+    `process` compiles, and `prepared` waits to become a worker: at first the process that has checked the curriculum.
+    """
+
+    def __init__(self, config: Config, store: str, prepared: WarmWorker | None = None):
+        self._config, self._store = config, store
+        self._last = -1  # the stage for which a process compiled last
         self.process: subprocess.Popen[str] | None = None
+        self.prepared = prepared
 
-    def watch(self, number: int, engine: str) -> Callable[[LeagueState], None]:
+    def watch(self, number: int, engine: str) -> Callable[[LeagueState, RunState], None]:
         """Return a function that is to be called with the states of stage `number`. All stages have the same engine.
 
         Compiling for the stage after it begins when its players have learnt: until then it compiles itself.
         """
 
-        def look(state: LeagueState) -> None:
+        def look(state: LeagueState, activity: RunState) -> None:
             self._tell_failure()
-            if self._last <= number and any(at.iteration > 0 for at in state.checkpoints.values()):
-                self.end()  # one that still compiles for this stage is of no more use
+            if all(at.iteration == 0 for at in state.checkpoints.values()):
+                return
+            if self._last <= number:
+                self._end_compiling()  # one that still compiles for this stage is of no more use
                 self._last = number + 1
                 self._start(number + 1, engine)
+            if self.prepared is None and number + 1 < len(self._config.stages):
+                self._prepare_after(number, state, activity)
 
         return look
 
+    def take_prepared(self) -> WarmWorker | None:
+        """Return the process that waits to become a worker, if there is one; the caller ends it."""
+        prepared, self.prepared = self.prepared, None
+        return prepared
+
     def end(self) -> None:
-        """End the process at once, if there is one."""
+        """End the processes at once, if there are any."""
+        self._end_compiling()
+        if prepared := self.take_prepared():
+            prepared.end()
+
+    def _prepare_after(self, number: int, state: LeagueState, activity: RunState) -> None:
+        """Start the process for the next stage if it is time for that."""
+        stage, following = (configuration.stage(self._config, n) for n in (number, number + 1))
+        has_ended = activity == "ending" and curriculum.ended(stage, state) is not None  # and was not stopped
+        if has_ended or cores_to_spare(stage):
+            with suppress(OSError):  # no room for a process now: the stage starts one when it begins
+                self.prepared = prepare_ahead(RunSpec.of(self._store, following), following)
+
+    def _end_compiling(self) -> None:
         if self.process is not None:
             self.process.kill()
             self._close()
@@ -186,7 +220,7 @@ def main() -> int:
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answer:
         os.dup2(2, 1)  # libraries print greetings on stdout
         try:
-            if _has_room():
+            if devices.has_room():
                 compile_stage(config)
         except Exception as error:
             print(one_line(error), file=answer)
@@ -203,12 +237,6 @@ def _give_way(most: int) -> None:
         AUTOGROUP.write_text(str(NICE))
     if hasattr(os, "sched_setaffinity"):  # libraries make as many threads
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-most:])
-
-
-def _has_room() -> bool:
-    """Return whether the first GPU that this process may use has memory for it; True if nothing tells."""
-    own = next(iter(devices.gpus()), None)
-    return all(each.total - each.used > ROOM for each in devices.memory() if each.name == own)
 
 
 def _end_with(stdin: io.FileIO) -> None:

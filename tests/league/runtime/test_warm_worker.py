@@ -21,10 +21,12 @@ from league.runtime.manager import Manager
 from league.runtime.preflight import PrepareError, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.runtime.worker_process import WorkerSpec
+from league.scheduling.turn_scheduler import next_turns
 from league.state.jobs import TrainingTurn
+from league.state.league_state import LeagueState
 from league.system.arena_build import Built, build
 from storage.store import Store
-from tests.league.conftest import ENVIRONMENT, start, wait_for
+from tests.league.conftest import ENVIRONMENT, call, start, wait_for
 
 CONFIG = replace(configuration.default("rock-paper-scissors"), league="tiny")
 GAME = (
@@ -106,16 +108,49 @@ def test_it_ends_where_nobody_hires_it(tmp_path):
     assert preparing(os.getpid()) == []
 
 
+SEVERAL = "[training]\ndevices = 2\ndevice = 'cpu'\n"
+
+
 @pytest.mark.parametrize(
-    ("more", "keep"), [("[training]\ndevices = 2\ndevice = 'cpu'\n", True), (STAGES, True), ("", False)]
+    ("more", "keep"), [(SEVERAL, True), (f"{STAGES}[stages.training]\ndevices = 2\n", True), ("", False)]
 )
-def test_nobody_stands_by_for_several_devices_for_all_stages_or_for_another_process(more, keep, tmp_path, monkeypatch):
+def test_nobody_stands_by_for_several_devices_even_of_one_stage_or_for_another_process(
+    more, keep, tmp_path, monkeypatch
+):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     config = configuration.loads(f'arena.name = "rock-paper-scissors"\n{more}')
     with preparation(RunSpec.of(str(tmp_path / "store"), config), config, keep=keep) as (prepared, warm_worker):
         assert prepared.arena == "rock-paper-scissors"
         assert warm_worker is None
         assert preparing(os.getpid()) == []
+
+
+def test_who_has_checked_a_curriculum_prepares_its_first_stage_and_works_for_that(tmp_path):
+    config = configuration.loads(f'league = "tiny"\narena.name = "rock-paper-scissors"\n{STAGES}')
+    first = configuration.stage(config, 0)
+    place = str(tmp_path / "store")
+    with preparation(RunSpec.of(place, config), config) as (_, checked):
+        assert checked is not None
+        with Store.open(place) as store:
+            assert [league.name for league in store.leagues()] == ["tiny"]
+        spec = RunSpec.of(place, first)
+        with (
+            preparation(spec, first, create=False, ahead=checked) as (prepared, warm_worker),
+            Store.open(place) as store,
+        ):
+            assert warm_worker is not None
+            assert warm_worker is checked
+            assert prepared.arena == "rock-paper-scissors"
+            assert {league.name for league in store.leagues()} == {"tiny", "tiny.near"}
+            assert preparing(os.getpid()) == [checked.pid]
+            store.queue(next_turns(first, LeagueState.of(store, first.league)).jobs, ())
+            warm_worker.assign(WorkerSpec(spec, ("train",), 0, os.getpid()))
+            deadline = time.monotonic() + 300
+            while not store.newest_checkpoints(first.league):
+                assert time.monotonic() < deadline
+                assert warm_worker.is_alive()
+                time.sleep(0.1)
+    assert preparing(os.getpid()) == []
 
 
 def test_where_it_refuses_or_dies_nobody_is_left(tmp_path, monkeypatch):
@@ -171,6 +206,68 @@ def test_it_has_ended_when_nothing_is_to_be_done_or_another_process_is_to_manage
     assert command.run(asked) == 0
     assert "Nobody in league tiny can learn any more" in capsys.readouterr().out
     assert left + preparing(os.getpid()) == []
+
+
+LEAVES = """
+import atexit, os
+from dataclasses import dataclass
+from pathlib import Path
+from tests.arenas.solo import SoloSettings
+
+@dataclass(frozen=True)
+class Own(SoloSettings):
+    name: str = "own"
+
+    def build(self, **how):
+        atexit.register(Path(f"left-{os.getpid()}").touch)
+        return super().build(**how)
+
+ARENAS = (Own(),)
+"""
+
+
+def test_workers_that_have_done_their_work_wait_for_no_exit_handler(tmp_path):
+    (tmp_path / "own.py").write_text(LEAVES)
+    game = (f"{tmp_path / 'own.py'}:own", *GAME[2:], "--workers.match", "1")
+    done = call("run", "--arena.name", *game, "--steps", "512", "--budget.rating_time", "0s", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.glob("left-*"))
+    with Store.open(tmp_path / "league-data") as store:
+        assert store.newest_checkpoints("tiny")["runner"].step == 512
+        assert not store.workers("tiny", 1e6)
+
+
+HANGS = """
+import time
+from dataclasses import dataclass
+from tests.arenas.solo import SoloSettings
+
+@dataclass(frozen=True)
+class Own(SoloSettings):
+    name: str = "own"
+
+    def build(self, **how):
+        if how["worlds"] == 16:  # of a batch of matches
+            time.sleep(1e6)
+        return super().build(**how)
+
+ARENAS = (Own(),)
+"""
+
+
+def test_a_match_worker_that_compiles_before_its_first_job_ends_with_the_league(tmp_path):
+    (tmp_path / "own.py").write_text(HANGS)
+    game = (f"{tmp_path / 'own.py'}:own", *GAME[2:], "--workers.match", "1", "--rating.worlds", "16")
+    manager = start("run", "--arena.name", *game, "--budget.success", "0.999", cwd=tmp_path)
+    try:
+        compiles = "compiling matches"
+        wait_for(tmp_path, lambda store: [w for w in store.workers("tiny", 5) if w.status.get("doing") == compiles])
+        manager.send_signal(signal.SIGINT)
+        assert manager.wait(timeout=300) == 0
+    finally:
+        manager.kill()
+    with Store.open(tmp_path / "league-data") as store:
+        assert not store.workers("tiny", 1e6)  # nobody had to be killed
 
 
 class FakeWarmWorker:
