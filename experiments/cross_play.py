@@ -39,6 +39,7 @@ from experiments.policy_files import (
     parser_of_pairs,
     score_of,
 )
+from league.commands.cli import guarded
 from league.config import flags
 from league.config.experiment import Config, change, default
 from league.config.schema import ConfigError
@@ -121,7 +122,7 @@ def parsed(argv: Sequence[str]) -> tuple[argparse.Namespace, Config, tuple[str, 
     return args, config, sides
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str] | None = None) -> int:
     """Play all pairs, print the figures and write JSON after each pair."""
     args, config, sides = parsed(sys.argv[1:] if argv is None else argv)
     about = run_info(args.commit)
@@ -141,7 +142,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         result["cross_play"] = between_seeds(matches, args.seeds, sides)
         print(json.dumps({"cross_play": result["cross_play"]}), flush=True)
         write(result, args.out)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main))

@@ -132,5 +132,5 @@ def check_pairs(parser: argparse.ArgumentParser, args: argparse.Namespace, sides
     args.seeds = args.seeds or found
     if not args.seeds:
         parser.error(f"{args.folder} has no folder with a {sides[0]}{SUFFIX}")
-    if args.worlds % 2 or args.episodes % args.worlds:
+    if args.worlds < 2 or args.worlds % 2 or args.episodes < 1 or args.episodes % args.worlds:
         parser.error("--episodes must be a multiple of --worlds, and --worlds even")

@@ -17,6 +17,7 @@ an ANYmal, an ANYmal that ended a rover, and the commonest other end (`experimen
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -41,6 +42,7 @@ from experiments.policy_files import (
 from experiments.role_clips import Examples, write_clips
 from experiments.role_metrics import Game, numbers_of_side, share_of_games, table_of_ends
 from experiments.role_tracks import Observer
+from league.commands.cli import guarded
 from league.config.experiment import default
 from scripts.record import run_info, write
 from storage.records import Match
@@ -135,7 +137,7 @@ def parsed() -> argparse.Namespace:
     return args
 
 
-def main() -> None:
+def main() -> int:
     """Play all pairs, measure them, print the figures and write JSON after each pair."""
     args = parsed()
     about = run_info(args.commit)
@@ -161,7 +163,8 @@ def main() -> None:
         print(json.dumps({"clips": result["clips"]}), flush=True)
     write(result, args.out)
     print(tables(result["pairs"]))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main))

@@ -65,6 +65,7 @@ def test_initial_policies_alone_by_other_rules(folder, tmp_path):
     ("words", "says"),
     [
         (["--arena", "matching-pennies", "--worlds", "7"], "even"),
+        (["--arena", "matching-pennies", "--worlds", "0"], "even"),
         (["--arena", "anymal-walk"], "1 teams"),
         (["--arena", "matching-pennies", "--", "--arena.colour=red"], "colour"),
         (["--arena", "sumo-1v1", "--seeds", "1", "2"], "leatherback"),
