@@ -15,8 +15,6 @@ from storage.recordings.recording import Recording
 if TYPE_CHECKING:
     from arenas.arena import Settings
 
-EPISODES = 4
-"""Episodes played at once, of which one is shown."""
 LENGTH = 10.0
 """Length of the match to show, s: of the episodes that somebody won, the one nearest to it is taken."""
 
@@ -27,10 +25,13 @@ class Demo(NamedTuple):
     arena: str
     sides: tuple[str, ...]  # names of policies, in the order of the arena's teams
     about: str
+    episodes: int = 4  # played at once, of which one is shown
 
 
+MIXED = "anymal-leatherback-sumo"
 DEMOS = {
     "sumo": Demo("sumo-by-team", ("anymals-sumo", "leatherbacks-sumo"), "two ANYmals against two rovers in a ring"),
+    "sumo-mixed": Demo("sumo-within-team", (MIXED, MIXED), "an ANYmal and a rover a side", 8),  # half are draws
     "push": Demo("block-push-anymal", ("anymal-push", "anymal-walk"), "two ANYmals, each pushes its block"),
     "soccer": Demo("soccer-1v1", ("anymal-score", "leatherback-score"), "an ANYmal against a rover"),
     "galaga": Demo("galaga-1v1", ("minitank-galaga", "crazyflie-galaga"), "a tank against a drone"),
@@ -98,7 +99,8 @@ def match(chosen: Demo, seed: int) -> Recording:
         opened = Open(store, config.league)
         for name in chosen.sides:
             policy_file.bring_in(opened, policy_file.read(policy_file.find(name)), name)
-        played = exhibition(pairing(opened, chosen.sides[0], (*chosen.sides, None)[1]), EPISODES, EPISODES)
+        pair = pairing(opened, chosen.sides[0], (*chosen.sides, None)[1])
+        played = exhibition(pair, chosen.episodes, chosen.episodes)
         recordings = [from_bytes(store.blobs.get(str(each.recording))) for each in played]
     won = [each for each in recordings if max(each.header.score) > 0.5]
     return min(won, key=lambda each: abs(each.time[-1] - LENGTH)) if won else recordings[0]
