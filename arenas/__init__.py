@@ -59,6 +59,9 @@ def settings(name: str) -> "Settings":
     found = {s.name: s for s in _module(where).ARENAS} if where else known()
     if own in found:
         return replace(found[own], name=name)
+    if name.endswith(".py"):
+        each = ", ".join(f"{name}:{s.name}" for s in _module(name).ARENAS)
+        raise ArenaError(f"{name} is a file: name an arena in it: {each}")
     near = difflib.get_close_matches(own, found, 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise ArenaError(f"unknown arena {name!r}: {hint}(arenas: {', '.join(sorted(found))}; your own: file.py:name)")
@@ -164,6 +167,8 @@ def _module(where: str) -> ModuleType:
             raise ArenaError(f"no arena module {where!r}: give a file such as my/duel.py:duel or a module") from error
     if not hasattr(module, "ARENAS"):
         raise ArenaError(f"{where} lists no arenas: it needs ARENAS = (settings, ...)")
+    if not isinstance(module.ARENAS, (tuple, list)):
+        raise ArenaError(f"{where}: ARENAS is a {type(module.ARENAS).__name__}: it needs ARENAS = (settings, ...)")
     return module
 
 

@@ -157,6 +157,8 @@ def read(path: Path) -> Policy:
     """Read and check the policy in a file. Raises ExchangeError, one line, for a file without a valid policy."""
     with opened_file(path) as file:
         data = file.read(LIMIT + 1)
+    if path.suffix == ".py":
+        raise ExchangeError(f"{path} is a Python file: name its function or class too, {path}:function.")
     if len(data) > LIMIT:
         raise ExchangeError(f"{path} has more than {LIMIT:,} bytes, which no policy has.")
     try:

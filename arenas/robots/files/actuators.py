@@ -28,15 +28,18 @@ def drives_of(source: Source, control: Control | None, passive: tuple[str, ...])
     for name in passive:
         if name not in names:
             raise ArenaError(f"{source.path}: no joint {name} for --passive; it has {', '.join(names)}")
+    free = [name for name in names if found and name not in found]
+    if unsaid := [name for name in free if name not in passive]:
+        told = f"joint {unsaid[0]} has" if len(unsaid) == 1 else f"joints {', '.join(unsaid)} have"
+        raise ArenaError(
+            f"{source.path}: {told} no actuator, while others have: add one, or let them move freely:"
+            f" league robot {source.path} --passive {','.join(each for each in names if each in (*free, *passive))}"
+        )
     drives: dict[str, Drive] = {}
     for j in source.joints:
         name = source.joint(j)
         if name in passive:
             continue
-        if found and name not in found:
-            raise ArenaError(
-                f"{source.path}: joint {name} has no actuator, while others have; add one, or --passive {name}"
-            )
         drive = found.get(name, Drive("position", 0.0, 0.0))
         if control is not None and control != drive.control:
             drive = Drive(control, 0.0, 0.0, effort=drive.effort)
@@ -63,7 +66,7 @@ def _found(source: Source) -> dict[str, Drive]:
         if joint not in source.joints:
             continue
         name, drive = source.joint(joint), _drive(source, i, actuator)
-        found[name] = _merged(found[name], drive) if name in found else drive
+        found[name] = _merged(source, name, found[name], drive) if name in found else drive
     return found
 
 
@@ -86,10 +89,14 @@ def _drive(source: Source, i: int, actuator: str) -> Drive:
     )
 
 
-def _merged(one: Drive, other: Drive) -> Drive:
-    """Return the drive of two actuators on a joint: position and velocity together are PD, else the first counts."""
+def _merged(source: Source, joint: str, one: Drive, other: Drive) -> Drive:
+    """Return the drive of two actuators on a joint, which are PD as position and velocity. Raises ArenaError, else."""
     by_control = {drive.control: drive for drive in (other, one)}
     if set(by_control) == {"position", "velocity"}:
         position, velocity = by_control["position"], by_control["velocity"]
         return replace(position, kd=position.kd + velocity.kd)
-    return one
+    kinds = f"{one.control} and {other.control}"
+    raise ArenaError(
+        f"{source.path}: joint {joint} has two actuators ({kinds}), which do not add up to one: keep one of them"
+        " (position and velocity together are read as PD)"
+    )

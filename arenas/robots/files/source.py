@@ -177,6 +177,12 @@ def _left_out(spec: mujoco.MjSpec, model: mujoco.MjModel, base: int) -> Iterator
     ):  # fmt: skip
         if count:
             yield f"{count} {what}{'' if count == 1 else 's'}"
+    if slow := int(np.sum(model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_NONE))):
+        yield f"the activation dynamics of {slow} actuator{'' if slow == 1 else 's'}, which act at once here"
+    motors = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)) & (model.actuator_ctrllimited == 1)
+    low, high = model.actuator_ctrlrange.reshape(-1, 2).T
+    if lopsided := int(np.sum(motors & (abs(low + high) > 1e-6 * (high - low)))):
+        yield f"the unequal control range of {lopsided} motor{'' if lopsided == 1 else 's'}: both ways as the wider one"
 
 
 def _shapes(spec: mujoco.MjSpec, model: mujoco.MjModel, path: Path) -> mujoco.MjModel:

@@ -49,6 +49,7 @@ def robot(args: list[str]) -> int:
         "Read a robot from a file, try it on the ground, draw it, and write the robot file that arenas take:"
         " --arena.blue my/robot.toml.",
     )  # fmt: skip
+    from arenas.robots.files.catalogue import MODELS
     from arenas.robots.files.defaults import fitted
     from arenas.robots.files.loading import robot_of, source_of
 
@@ -58,6 +59,9 @@ def robot(args: list[str]) -> int:
     if options.fit:
         settings = fitted(source, settings)
     print(_reading(settings, source))
+    if target is None and Path(options.file).suffix in MODELS:
+        beside = Path(options.file).with_suffix(".toml")
+        print(f"drives and pose of {beside}, not of the model: to read these again, remove it, or give --output")
     from arenas.contract.robot_trial import RobotTrial
 
     trial = RobotTrial(robot_of(settings))

@@ -56,6 +56,7 @@ class BenchOptions:
     """References to meet, such as pusher,idle (none: all); the result is then a trial."""
 
 
+NO_RANK = ", more than 1 % by its own doing, which is no rank (rule 6 of docs/bench.md)"
 OF_GAMES = ("games", "seed", "attack", "attackers", "curve", "against")
 
 
@@ -74,6 +75,8 @@ def bench(args: list[str]) -> int:
             (), "league bench needs a TASK, page FOLDER or rerate FOLDER: league bench --list has the tasks"
         )
     task = tasks.find(options.task)
+    if not options.entry and "--entry" in args:
+        raise ConfigError(("entry",), f"--entry names no policy: league bench {task.name} tells what it needs")
     if not options.entry:
         print(_all_about(task))
         return 0
@@ -173,7 +176,7 @@ def _result(task: Task, content: dict[str, Any]) -> str:
         lines.append(
             f"{each['name']}: {rating['elo']:.0f} Elo ({rating['low']:.0f} to {rating['high']:.0f}), where the mean of"
             f" the references is 1000; worst {_percent(worst)} against {worst['against']};"
-            f" {100 * each['voids']:.2f} % void."
+            f" {100 * each['voids']:.2f} % void{'' if each['ranked'] else NO_RANK}."
         )
         rows = [{"against": row["against"], "score": _percent(row), "games": row["games"]} for row in each["scores"]]
         lines.append(render(rows))

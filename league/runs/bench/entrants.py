@@ -59,6 +59,12 @@ def read(task: Task, words: Sequence[str], letter: str = "e") -> list[Entrant]:
     by_team: dict[str, list[str]] = {team: [] for team in task.teams}
     for word in words:
         team, file = _side(task, word)
+        if "" in (parts := file.split(",")):
+            raise ConfigError(
+                ("entry",),
+                f"{word} names no file {'at all' if len(parts) == 1 else 'beside one of its commas'}: the"
+                " files of a team's agents are one word, a.onnx,b.onnx without spaces",
+            )
         by_team[team].append(file)
     counts = {team: len(files) for team, files in by_team.items()}
     if len(set(counts.values())) > 1:
@@ -73,7 +79,10 @@ def read(task: Task, words: Sequence[str], letter: str = "e") -> list[Entrant]:
         for number, file in enumerate(files, 1):
             entrant = _read(task, team, file, f"{letter}{number}" if task.alike else f"{letter}{number}:{team}")
             if twin := next((e for e in found if e.team == team and e.digest == entrant.digest), None):
-                raise ConfigError(("entry",), f"{file} is the same policy as {','.join(twin.files)}: give each once")
+                both = f" (it plays both sides of {task.name})" if task.alike else ""
+                raise ConfigError(
+                    ("entry",), f"{file} is the same policy as {','.join(twin.files)}: give each once{both}"
+                )
             found.append(entrant)
     return found
 
@@ -92,6 +101,7 @@ def _read(task: Task, team: str, file: str, name: str) -> Entrant:
     roster = task.sides[team]
     if kind := kind_of(file):
         program = stored.read(kind, file.split(","), roster)
+        _require_small(file, stored.parameters(program))
         each = program.seconds / stored.TIMED
         if each > SLOWEST and not task.exact:
             raise ConfigError(
@@ -104,10 +114,16 @@ def _read(task: Task, team: str, file: str, name: str) -> Entrant:
         raise ConfigError(
             ("entry",), f"{file} is a policy for {policy.about['roster']}, and {team} of {task.name} is {roster}"
         )
-    if (size := sum(array.size for array in policy.arrays.values())) > PARAMETERS:
-        raise ConfigError(("entry",), f"{file} is too slow: it has {size:,} parameters, and {PARAMETERS:,} are allowed")
+    _require_small(file, sum(array.size for array in policy.arrays.values()))
     digest = hashlib.sha256(arrays.to_bytes(policy.arrays)).hexdigest()
     return Entrant(name, team, (Path(file).name,), policy, digest)
+
+
+def _require_small(file: str, size: int) -> None:
+    if size > PARAMETERS:
+        raise ConfigError(
+            ("entry",), f"{file} is too large: it has {size:,} parameters, and {PARAMETERS:,} are allowed"
+        )
 
 
 def _names(program: Program) -> tuple[str, ...]:

@@ -1,5 +1,8 @@
 """ONNX files as policies, run by onnxruntime on one thread of the CPU."""
 
+import math
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,6 +10,67 @@ import numpy as np
 from league.snapshots.programs.model import ACTIONS, NEXT, NOISE, AgentSizes, Arrays, Model, ProgramError, roles
 
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+FOLDER = "session.model_external_initializers_file_folder_path"
+NOWHERE = "/dev/null/none"  # a policy is the bytes of its snapshot: no file of the working folder may add to it
+
+
+def whole(data: bytes, path: Path) -> bytes:
+    """Return the bytes of an ONNX file with the weights that it keeps in files beside it, as torch's exporter writes.
+
+    Raises ProgramError if these cannot be read.
+    """
+    onnx = _onnx(str(path))
+    try:
+        model = onnx.load_model_from_string(data)
+    except Exception:  # no protobuf: loading it tells why
+        return data
+    helper = onnx.external_data_helper
+    others = [each for each in model.graph.initializer if helper.uses_external_data(each)]
+    if not others:
+        return data
+    try:
+        helper.load_external_data_for_model(model, str(path.parent))
+    except Exception as error:  # onnx raises OSError, ValueError, ValidationError, ...
+        named = next((pair.value for pair in others[0].external_data if pair.key == "location"), "another file")
+        raise ProgramError(
+            f"{path} keeps its weights in {named}, which cannot be read beside it ({type(error).__name__}): put it"
+            " there, or export with external_data=False"
+        ) from None
+    return model.SerializeToString()
+
+
+def parameters(data: bytes, name: str) -> int:
+    """Return the number of all constants in an ONNX file: its weights, wherever they stand."""
+    model = _onnx(name).load_model_from_string(data)
+    return _constants(model.graph) + sum(_in_nodes(each.node) for each in model.functions)
+
+
+def _constants(graph: Any) -> int:
+    sparse = sum(math.prod(each.values.dims) for each in graph.sparse_initializer)
+    return sum(math.prod(each.dims) for each in graph.initializer) + sparse + _in_nodes(graph.node)
+
+
+def _in_nodes(nodes: Iterable[Any]) -> int:
+    """Return the number of constants in the attributes of nodes, and in graphs below them."""
+    total = 0
+    for each in (attribute for node in nodes for attribute in node.attribute):
+        tensors = [*each.tensors, *([each.t] if each.HasField("t") else [])]
+        graphs = [*each.graphs, *([each.g] if each.HasField("g") else [])]
+        total += sum(math.prod(tensor.dims) for tensor in tensors) + sum(map(_constants, graphs))
+    return total
+
+
+def _onnx(name: str) -> Any:
+    try:
+        import onnx
+        import onnx.external_data_helper
+    except ImportError as error:
+        raise ProgramError(_need(name, "onnx", error)) from error
+    return onnx
+
+
+def _need(name: str, package: str, error: ImportError) -> str:
+    return f"{name}: an ONNX file needs {package} ({error}); install it with: pip install 'robot-league[onnx]'"
 
 
 def load(data: bytes, name: str, agent: AgentSizes) -> Model:
@@ -14,11 +78,11 @@ def load(data: bytes, name: str, agent: AgentSizes) -> Model:
     try:
         import onnxruntime
     except ImportError as error:
-        need = f"{name}: an ONNX file needs onnxruntime ({error}); install it with: pip install 'robot-league[onnx]'"
-        raise ProgramError(need) from error
+        raise ProgramError(_need(name, "onnxruntime", error)) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1  # matches run beside training
     options.log_severity_level = 4
+    options.add_session_config_entry(FOLDER, NOWHERE)
     try:
         session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions have no common class

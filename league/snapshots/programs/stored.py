@@ -61,7 +61,7 @@ def read(kind: str, names: Sequence[str], roster: str) -> Program:
             path, _, function = name.rpartition(":")
             files.append((f"{Path(path).absolute()}:{function}", b""))
         else:
-            files.append((name, _content(Path(name))))
+            files.append((name, _content(Path(name), kind)))
     for i, agent in enumerate(agents):
         file = i if len(files) > 1 else 0
         found.append({**agent._asdict(), "file": file, **_tried(kind, files[file], agent)})
@@ -150,6 +150,16 @@ def _trial(actor: Actor, name: str, agent: AgentSizes) -> None:
             raise ProgramError(f"{name}: observations of zeros give actions that are not finite numbers")
 
 
+def parameters(program: Program) -> int:
+    """Return the number of parameters of a program's largest network; 0 for Python, where it cannot be known."""
+    if program.kind == "python":
+        return 0
+    from league.snapshots.programs import onnx_model, torchscript_model
+
+    count = onnx_model.parameters if program.kind == "onnx" else torchscript_model.parameters
+    return max(count(data, name) for name, data in program.files)
+
+
 def _maker(kind: str, file: tuple[str, bytes], agent: dict[str, Any]) -> Callable[[], Actor]:
     (name, data), known = file, AgentSizes(agent["kind"], agent["observation"], agent["action"])
     if kind == "python":
@@ -174,9 +184,14 @@ def _model(kind: str, data: bytes, name: str, agent: AgentSizes) -> Model:
     return format.load(data, name, agent)
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, kind: str) -> bytes:
+    """Return a file's bytes, of an ONNX file with the weights beside it."""
     with open_file(path) as file:
         data = file.read(LIMIT + 1)
+    if kind == "onnx" and len(data) <= LIMIT:
+        from league.snapshots.programs import onnx_model
+
+        data = onnx_model.whole(data, path)
     if len(data) > LIMIT:
         raise ProgramError(f"{path} has more than {LIMIT:,} bytes, too many for a policy of a league")
     return data

@@ -2,6 +2,7 @@
 
 import io
 import warnings
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,9 +17,8 @@ def load(data: bytes, name: str, agent: AgentSizes) -> Model:
     ...) in the order of its arguments, and its attribute `x_size` has the size of a memory `x`.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # torch advises its successor, which others do not read
-            module = torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
+        module = _module(data)
+        module.eval()
         arguments = [each.name for each in module.forward.schema.arguments[1:]]
     except Exception as error:  # torch raises RuntimeError, ValueError, AttributeError, ...
         reason = " ".join(str(error).split())[:200]
@@ -36,6 +36,24 @@ def load(data: bytes, name: str, agent: AgentSizes) -> Model:
         return dict(zip([ACTIONS, *(NEXT + each for each in memory)], (x.numpy() for x in found), strict=False))
 
     return Model(run, sees, ACTIONS, noise, sizes)
+
+
+def parameters(data: bytes, name: str) -> int:
+    """Return the number of a module's parameters and buffers, and of the constants that freezing made of them."""
+    module = _module(data)
+    graph: Any = module.inlined_graph  # its nodes live as long as it does
+    held = [node.t("value") for node in graph.findAllNodes("prim::Constant") if _is_tensor(node)]
+    return sum(each.numel() for each in (*module.parameters(), *module.buffers(), *held))
+
+
+def _module(data: bytes) -> Any:  # torch.jit.ScriptModule, whose types are unfinished
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # torch advises its successor, which others do not read
+        return torch.jit.load(io.BytesIO(data), map_location="cpu")
+
+
+def _is_tensor(node: Any) -> bool:
+    return node.hasAttribute("value") and node.kindOf("value") == "t"
 
 
 def _memory_size(module: torch.jit.ScriptModule, name: str, memory: str) -> int:

@@ -70,12 +70,19 @@ def test_a_file_that_fails_is_run_again(tmp_path):
         ("no/such.py:duel", "^no arena file no/such.py: give a path such as"),
         ("nowhere.such:duel", "^no arena module 'nowhere.such': give a file"),
         ("json:duel", r"^json lists no arenas: it needs ARENAS = "),
+        (str(RACE), r"race\.py is a file: name an arena in it: .*race\.py:race$"),
         (f"{RACE}:rice", r"^unknown arena .*: did you mean race\? \(arenas: race; your own: file.py:name\)$"),
     ],
 )
 def test_a_file_or_module_without_the_arena_is_told_so(name, message):
     with pytest.raises(ArenaError, match=message):
         arenas.settings(name)
+
+
+def test_arenas_that_are_no_tuple_are_told_so(tmp_path):
+    (tmp_path / "alone.py").write_text("ARENAS = 3\n")
+    with pytest.raises(ArenaError, match=r"alone\.py: ARENAS is a int: it needs ARENAS = \(settings, \.\.\.\)"):
+        arenas.settings(f"{tmp_path}/alone.py:duel")
 
 
 def test_a_module_that_lacks_something_else_is_not_called_absent(tmp_path, monkeypatch):

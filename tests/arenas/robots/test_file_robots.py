@@ -65,6 +65,13 @@ def test_actuators_of_each_kind_are_read(write, actuators, control, numbers):
     assert {name: getattr(drive, name) for name in numbers} == pytest.approx(numbers)
 
 
+def test_what_an_actuator_loses_is_told(write):
+    filtered = '<general joint="{joint}" dyntype="filter" dynprm=".1" ctrlrange="0 3"/>'
+    told = ["the activation dynamics of 8 actuators, which act at once here"]
+    told += ["the unequal control range of 8 motors: both ways as the wider one"]
+    assert source_of(derive(write(mjcf(filtered)))).left_out[3:] == told
+
+
 @pytest.mark.parametrize("control", ["position", "velocity", "torque"])
 def test_a_joint_follows_its_command_under_every_control(write, control):
     settings = derive(write(mjcf(MOTOR)), control=control)
@@ -126,6 +133,8 @@ def test_a_robot_file_is_read_back_and_an_edited_pose_is_fitted(write):
     [
         (mjcf(free=""), "no body has a free joint: body base is fixed to the world; add <freejoint/> to it"),
         (mjcf(POSITION, knees=("fl", "fr", "hl")), "joint hr_knee has no actuator"),
+        (mjcf(POSITION, knees=("fl", "fr")), "hl_knee, hr_knee have no actuator.*bot.xml --passive hl_knee,hr_knee$"),
+        (mjcf(MOTOR + MOTOR), r"joint fl_hip has two actuators \(torque and torque\).*keep one"),
         (mjcf('<muscle joint="{joint}"/>'), "actuator 0 is no motor, position or velocity actuator"),
         (mjcf().replace('name="fl_hip" axis="0 1 0" range="-1 1"', 'name="fl_hip" type="ball" range="0 1"'), "fl_hip"),
         (mjcf().replace('type="box" size=".2 .1 .05" mass="5"', 'type="mesh" mesh="m"').replace(

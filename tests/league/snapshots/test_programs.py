@@ -24,6 +24,7 @@ from league.runtime.bootstrap import create
 from league.snapshots.codec import freeze, thaw
 from league.snapshots.programs import callables
 from league.snapshots.programs.model import AgentSizes, Model, ModelActor
+from league.snapshots.programs.stored import host_policies, of_bytes, parameters, read
 from league.state.jobs import RatingMatch
 from storage.errors import StorageError
 from storage.maintenance.verify import verify
@@ -166,6 +167,7 @@ def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_pat
         f"{tmp_path}/state.pt": "is no TorchScript file",
         f"{tmp_path}/text": "is no policy that `league export` wrote, nor",
         f"{tmp_path}/none.onnx": "none.onnx",
+        f"{tmp_path}/nan.py": "nan.py:function",
         f"{tmp_path}/nan.py:nan": "give actions that are not finite numbers",
         f"{tmp_path}/nan.py:wide": "a batch of 3 gave shape (3, 1)",
         f"{tmp_path}/nan.py:lost": "has no function or class 'lost'",
@@ -178,6 +180,67 @@ def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_pat
     use("import", gemm(tmp_path / "ok.onnx", name="any_name"), "--as", "ok")
     assert "is a program" in use("export", "ok", "-o", str(tmp_path / "x"), code=2)
     assert "has a player or snapshot of that name" in use("import", f"{tmp_path}/ok.onnx", "--as", "blue", code=2)
+
+
+def test_weights_in_a_file_beside_it_become_part_of_the_policy(tmp_path):
+    def policy(name: str, bias: tuple[float, ...]) -> str:
+        model = onnx.load(gemm(tmp_path / "inside.onnx", bias=bias))
+        folder = tmp_path / name
+        folder.mkdir()
+        onnx.save(model, folder / "p.onnx", save_as_external_data=True, location="p.onnx.data", size_threshold=0)
+        return str(folder / "p.onnx")
+
+    paper, rock = policy("paper", (0.0, 1.0, 0.0)), policy("rock", (1.0, 0.0, 0.0))
+    bare = (tmp_path / "rock" / "p.onnx").read_bytes()
+    assert (tmp_path / "paper" / "p.onnx").read_bytes() == bare  # the weights alone differ
+    programs = {name: read("onnx", [name], ROSTER) for name in (paper, rock)}
+    (tmp_path / "rock" / "p.onnx.data").unlink()
+    with pytest.raises(StorageError, match=r"keeps its weights in p\.onnx\.data, which cannot be read beside it"):
+        read("onnx", [rock], ROSTER)
+    for name, choice in ((paper, 1), (rock, 0)):
+        (only,) = host_policies(programs[name].to_bytes(), "guest")
+        seen, noise = np.ones((2, 1), np.float32), np.zeros((2, 3), np.float32)
+        assert only.act("a", 0, seen, noise, np.ones(2, bool)).argmax(1).tolist() == [choice] * 2
+    with pytest.raises(StorageError, match="save the weights in the file itself"):
+        of_bytes([("p.onnx", bare)], ROSTER)
+
+
+def test_bytes_are_never_completed_by_a_file_of_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model = onnx.load(gemm(tmp_path / "inside.onnx"))
+    onnx.save(model, "p.onnx", save_as_external_data=True, location="p.onnx.data", size_threshold=0)
+    with pytest.raises(StorageError, match="save the weights in the file itself"):
+        of_bytes([("p.onnx", (tmp_path / "p.onnx").read_bytes())], ROSTER)
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+def test_parameters_are_counted_wherever_they_stand(tmp_path):
+    class Layer(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.layer = torch.nn.Linear(1, 3)
+
+        def forward(self, observations: torch.Tensor) -> torch.Tensor:
+            return self.layer(observations)
+
+    scripted = torch.jit.script(Layer().eval())
+    scripted.save(str(tmp_path / "p.pt"))
+    torch.jit.freeze(scripted).save(str(tmp_path / "frozen.pt"))
+    model = onnx.load(gemm(tmp_path / "p.onnx"))
+    constants = [
+        onnx.helper.make_node("Constant", [], [each.name], value=each) for each in model.graph.initializer
+    ]  # fmt: skip
+    del model.graph.initializer[:]
+    nodes = [*constants, *model.graph.node]
+    del model.graph.node[:]
+    model.graph.node.extend(nodes)
+    onnx.save(model, tmp_path / "constants.onnx")
+    (tmp_path / "rock.py").write_text(ROCK)
+    files = {"p.pt": 6, "frozen.pt": 6, "p.onnx": 6, "constants.onnx": 6, "rock.py:rock": 0}
+    kinds = {"pt": "torchscript", "onnx": "onnx", "py:rock": "python"}
+    for name, count in files.items():
+        kind = kinds[name.partition(".")[2]]
+        assert parameters(read(kind, [f"{tmp_path}/{name}"], ROSTER)) == count, name
 
 
 def test_memory_restarts_where_an_episode_begins_in_every_seat_of_its_own():
@@ -213,8 +276,6 @@ def test_memory_restarts_where_an_episode_begins_in_every_seat_of_its_own():
 
 
 def test_one_file_serves_all_agents_or_each_has_its_own(home, tmp_path):
-    from league.snapshots.programs.stored import host_policies, read
-
     paper, rock = gemm(tmp_path / "p.onnx"), gemm(tmp_path / "r.onnx", bias=(1.0, 0.0, 0.0))
     seat = SimpleNamespace(seen=np.ones((2, 1), np.float32), noise=np.zeros((2, 3), np.float32))
     for names, choices in (([paper], [1, 1]), ([paper, rock], [1, 0])):

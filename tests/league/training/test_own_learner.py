@@ -210,6 +210,8 @@ def test_a_learner_that_fails_is_one_line_and_a_setback_like_any_other(store, ga
      r"\.export: gives 0 policies for the 1 agents of blue"),
     ("class Mine(Reinforce):\n    def load(self, state):\n        self.actors[0].mean.bias.data += 1", {},
      r"\.load: afterwards `save` gives something else"),
+    ("class Mine(Reinforce):\n    def load(self, state):\n        pass", {},
+     r"\.load: afterwards `save` gives something else"),
     ("class Mine(Reinforce):\n    def save(self):\n        return {'name': 'text'}", {},
      r"\.save: TypeError: Array 'name' has type"),
     ("class Mine(Reinforce):\n    def act(self):\n        return [lambda *seen: np.zeros((3, 7))]", {},

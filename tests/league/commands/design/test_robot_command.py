@@ -37,6 +37,10 @@ def test_a_model_is_tried_drawn_and_written(capsys, model, tmp_path):
     code, out, _ = ran(capsys, "bot.toml")
     assert code == 0
     assert "Wrote" not in out
+    assert "drives and pose of bot.toml, not of the model" not in out
+    code, out, _ = ran(capsys, "bot.xml")
+    assert code == 0
+    assert "drives and pose of bot.toml, not of the model" in out
 
 
 def test_a_robot_that_falls_is_written_and_said(capsys, model, tmp_path):

@@ -4,6 +4,8 @@ import json
 import re
 import shutil
 
+import numpy as np
+import onnx
 import pytest
 
 from league.commands import cli
@@ -123,6 +125,11 @@ REFUSED = {
     "not finite": ([SUMO, "--entry", "{nan}"], "agent 0's mean.bias is not finite"),
     "too slow": ([SUMO, "--entry", "{slow}:slow"], "is too slow: decisions take"),
     "twice": ([SUMO, "--entry", "{one}", "{copy}"], "is the same policy as one.safetensors: give each once"),
+    "too large": ([SUMO, "--entry", "{large}"], "is too large: it has 4,000,079 parameters, and 4,000,000 are"),
+    "an empty file": ([SUMO, "--entry", "{one},"], "names no file beside one of its commas"),
+    "an empty side": ([UNLIKE, "--entry", "blue=", "red=x.pt"], "blue= names no file at all"),
+    "nothing": ([SUMO, "--entry"], "--entry names no policy"),
+    "no function": ([SUMO, "--entry", "{slow}"], "slow.py is a Python file: name its function"),
     "a missing side": ([UNLIKE, "--entry", "blue=anymals-sumo"], "a policy for red is missing (1 for blue and 0"),
     "a side unnamed": ([UNLIKE, "--entry", "anymals-sumo"], "does not name its side"),
     "odd games": ([SUMO, "--entry", "{one}", "--games", "7"], "--games is 7: it must be even"),
@@ -148,8 +155,11 @@ def bad(tmp_path_factory):
         "nan": network(folder / "nan.safetensors", rovers, broken=True), "slow": str(folder / "slow.py"),
         "one": network(folder / "one.safetensors", rovers), "copy": str(folder / "copy.safetensors"),
         "kuhn": gemm(folder / "kuhn.onnx", sees=10, acts=2), "folder": str(folder),
-        "curve": str(folder / "curve.csv"),
+        "curve": str(folder / "curve.csv"), "large": gemm(folder / "large.onnx", sees=38, acts=2),
     }  # fmt: skip
+    model = onnx.load(found["large"])
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.zeros(4_000_001, np.int8), "idle"))
+    onnx.save(model, found["large"])
     shutil.copy(found["one"], found["copy"])
     return found
 
