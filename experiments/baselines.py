@@ -156,7 +156,11 @@ def config_of(task: Task, method: str, seed: int, args: argparse.Namespace) -> C
         iterations_per_turn=min(base.training.iterations_per_turn, iterations),
         shaping_steps=min(base.training.shaping_duration, round(FADE * args.steps)), shaping_until=None,
     )  # fmt: skip
-    rating = replace(config.rating, share=0.0, scripts=(), trained=False, record=False, episodes_per_pair=args.episodes)
+    # A milestone would end a turn by the clock, and opponents of the next turn would not be those of another run.
+    rating = replace(
+        config.rating, share=0.0, scripts=(), trained=False, record=False, episodes_per_pair=args.episodes,
+        milestones=(),
+    )  # fmt: skip
     if method == "psro" and task.exact:
         config = change(config, {("arena", "rules", "score"): "chips"})
     threads = max(1, len(os.sched_getaffinity(0)) // args.jobs)

@@ -64,8 +64,8 @@ def export(league: Open, name: str, rated: Sequence[Ladder] | None = None) -> Po
         raise StorageError(f"{name} is a script, which has no weights to export; every league of its arena has it.")
     data = league.store.blobs.get(snapshot.digest)
     if programs.is_program(data):
-        files, about_it = programs.from_bytes(data)
-        raise StorageError(f"{name} is a program, {shortened(files[0][0])} ({about_it.get('kind')}): take that file.")
+        kind = programs.from_bytes(data)[1].get("kind")
+        raise StorageError(f"{name} is a program ({kind}) and no network: `league export {name} -o FILE` writes it.")
     found = arrays.from_bytes(data)
     try:
         agents = agents_of(found, snapshot.roster)

@@ -1,6 +1,7 @@
 """`league export` and `league import`: a frozen policy as a file, which any league of its arena can import."""
 
 import shlex
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from league.snapshots.arena_transfer import describe_transfer, refitted
 from league.snapshots.exports import interface
 from league.snapshots.exports.program_export import SUFFIX, Format, programs, stem
 from league.snapshots.model_card import card
+from league.snapshots.programs import exporting
 from league.snapshots.programs.kinds import kind_of
 from storage.blobs.files import new_file, require_file_name
 from storage.database.urls import display_location
@@ -61,6 +63,8 @@ def export(args: list[str]) -> int:
     if not formats:
         _need(options.output, "-o FILE", "export")
     with options.open() as league:
+        if kept := exporting.files(league, options.snapshot, stem(Path(options.output or options.snapshot))):
+            return _export_program(league.snapshot(options.snapshot).name, kept, formats)
         rated = policy_file.ladders(league, league.snapshot(options.snapshot))
         policy = policy_file.export(league, options.snapshot, rated)
         path = Path(str(options.output)) if options.output else Path(f"{policy.about['name']}.safetensors")
@@ -82,6 +86,21 @@ def export(args: list[str]) -> int:
     whose = f"{policy.about['name']} of league {policy.about['league']}"
     beside = f", {', '.join(map(str, files))}" if files else ""
     print(f"Wrote {whose} to {path} ({len(data):,} bytes){beside}, card {page}.")
+    return 0
+
+
+def _export_program(name: str, kept: Mapping[Path, bytes], formats: Collection[Format]) -> int:
+    """Write the files of a program, which is what it is; a card and other formats need a network that is known."""
+    own = next(iter(kept)).suffix
+    if other := next((each for each in formats if SUFFIX[each] != own), None):
+        raise ConfigError((other,), f"{name} is a program in {own} files, and cannot be written as {other}")
+    for path in kept:
+        require_file_name(path)
+    with ExitStack() as opened:
+        for path, data in kept.items():
+            opened.enter_context(new_file(path)).write(data)
+    sizes = ", ".join(f"{path} ({len(data):,} bytes)" for path, data in kept.items())
+    print(f"Wrote the program of {name} to {sizes}; `league import` and `league bench` take it.")
     return 0
 
 

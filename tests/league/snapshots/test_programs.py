@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,7 +23,7 @@ from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
 from league.runtime.bootstrap import create
 from league.snapshots.codec import freeze, thaw
-from league.snapshots.programs import callables
+from league.snapshots.programs import callables, exporting
 from league.snapshots.programs.model import AgentSizes, Model, ModelActor
 from league.snapshots.programs.stored import host_policies, of_bytes, parameters, read
 from league.state.jobs import RatingMatch
@@ -178,7 +179,6 @@ def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_pat
         assert why in use("import", named, "--as", "x", code=2), named
     assert "no team 'green'" in use("import", f"{tmp_path}/nan.py:nan", "--as", "x", "--team", "green", code=2)
     use("import", gemm(tmp_path / "ok.onnx", name="any_name"), "--as", "ok")
-    assert "is a program" in use("export", "ok", "-o", str(tmp_path / "x"), code=2)
     assert "has a player or snapshot of that name" in use("import", f"{tmp_path}/ok.onnx", "--as", "blue", code=2)
 
 
@@ -284,6 +284,30 @@ def test_one_file_serves_all_agents_or_each_has_its_own(home, tmp_path):
         assert acted == [[choice] * 2 for choice in choices]
     with Open(home, "main") as opened:
         assert not [s for s in opened.store.snapshots("main") if s.origin == "imported"]
+
+
+def test_a_program_goes_out_as_the_file_that_it_was(home, use, tmp_path):
+    file, again = tmp_path / "mine.onnx", tmp_path / "again.onnx"
+    gemm(file)
+    use("import", str(file), "--as", "mine", "--team", "blue")
+    assert "again.onnx" in use("export", "mine", "-o", str(again))
+    assert again.read_bytes() == file.read_bytes()
+    assert "again.onnx" in use("export", "mine", "-o", str(again), code=2)  # never over another file
+    assert "cannot be written as torchscript" in use("export", "mine", "--torchscript", code=2)
+    (tmp_path / "rock.py").write_text(ROCK)
+    use("import", f"{tmp_path}/rock.py:rock", "--as", "rock-again", "--team", "blue")
+    assert "no code is stored" in use("export", "rock-again", "-o", str(tmp_path / "rock"), code=2)
+
+
+def test_each_agent_of_a_program_has_its_own_file_again(home, tmp_path):
+    names = [gemm(tmp_path / "p.onnx"), gemm(tmp_path / "r.onnx", bias=(1.0, 0.0, 0.0))]
+    pair = read("onnx", names, f"{ROSTER}+{ROSTER}")
+    both, digest = f"{ROSTER}+{ROSTER}", home.blobs.put(pair.to_bytes())
+    home.add_snapshots([Snapshot("main", "pair", digest, both, origin="imported")])
+    with Open(home, "main") as opened:
+        found = exporting.files(opened, "pair", tmp_path / "out")
+        assert exporting.files(opened, "blue@0", tmp_path / "out") is None
+    assert found == {tmp_path / f"out-{i}.onnx": Path(name).read_bytes() for i, name in enumerate(names)}
 
 
 def test_a_policy_in_python_plays_without_being_stored(home, tmp_path):
