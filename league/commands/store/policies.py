@@ -65,6 +65,7 @@ def export(args: list[str]) -> int:
     with options.open() as league:
         if kept := exporting.files(league, options.snapshot, stem(Path(options.output or options.snapshot))):
             return _export_program(league.snapshot(options.snapshot).name, kept, formats)
+        _require_format(options.output, formats)
         rated = policy_file.ladders(league, league.snapshot(options.snapshot))
         policy = policy_file.export(league, options.snapshot, rated)
         path = Path(str(options.output)) if options.output else Path(f"{policy.about['name']}.safetensors")
@@ -87,6 +88,13 @@ def export(args: list[str]) -> int:
     beside = f", {', '.join(map(str, files))}" if files else ""
     print(f"Wrote {whose} to {path} ({len(data):,} bytes){beside}, card {page}.")
     return 0
+
+
+def _require_format(output: str | None, formats: Collection[Format]) -> None:
+    """Raise ConfigError for the name of a file that would say another format than it has."""
+    named = next((format for format, suffix in SUFFIX.items() if Path(output or "").suffix == suffix), None)
+    if named and not formats:
+        raise ConfigError(("output",), f"{output} would be a safetensors file: name it so, or add --{named}")
 
 
 def _export_program(name: str, kept: Mapping[Path, bytes], formats: Collection[Format]) -> int:
