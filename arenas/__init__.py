@@ -169,6 +169,9 @@ def _module(where: str) -> ModuleType:
         raise ArenaError(f"{where} lists no arenas: it needs ARENAS = (settings, ...)")
     if not isinstance(module.ARENAS, (tuple, list)):
         raise ArenaError(f"{where}: ARENAS is a {type(module.ARENAS).__name__}: it needs ARENAS = (settings, ...)")
+    names = [each.name for each in module.ARENAS]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ArenaError(f"{where}: two of its ARENAS are named {twice}: give one of them another name")
     return module
 
 

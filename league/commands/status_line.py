@@ -98,7 +98,8 @@ class Ticker:
             return ""
         phase: Phase = max(timed, key=lambda p: p.number)
         since = self._rating_since.setdefault(phase.number, time.monotonic())
-        return f"{clock(max(0.0, phase.until['seconds'] - (time.monotonic() - since)))} left"
+        left = phase.until["seconds"] - (time.monotonic() - since)
+        return f"{clock(left)} left" if left > 0.0 else "the last batch is being played"
 
 
 def _of_this_run(workers: Sequence[Worker]) -> list[Worker]:

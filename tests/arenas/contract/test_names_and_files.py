@@ -85,6 +85,12 @@ def test_arenas_that_are_no_tuple_are_told_so(tmp_path):
         arenas.settings(f"{tmp_path}/alone.py:duel")
 
 
+def test_two_arenas_of_one_name_are_told_so(tmp_path):
+    (tmp_path / "twice.py").write_text("from types import SimpleNamespace as S\nARENAS = (S(name='duel'),) * 2\n")
+    with pytest.raises(ArenaError, match=r"twice\.py: two of its ARENAS are named duel: give one of them another name"):
+        arenas.settings(f"{tmp_path}/twice.py:duel")
+
+
 def test_a_module_that_lacks_something_else_is_not_called_absent(tmp_path, monkeypatch):
     (tmp_path / "needy_arena.py").write_text("import nowhere_to_be_found\n")
     monkeypatch.syspath_prepend(tmp_path)

@@ -107,6 +107,8 @@ def test_while_rating_it_tells_how_long_that_will_take(monkeypatch):
     )
     now[0] += 60
     assert "1:55 left" in tell.line(state, "rating", [])
+    now[0] += 115
+    assert "vs initial · the last batch is being played" in tell.line(state, "rating", [])
 
 
 def test_what_the_league_goes_on_without_is_said():
