@@ -266,6 +266,7 @@ def bench_command(task: Task, method: str, entries: Sequence[Entry], args: argpa
     own = max(each["decisions"] for result in results for each in result["policies"].values())
     everyone = max(steps for result in results for steps in result["population_decisions"].values())
     seeds = ", ".join(str(result["seed"]) for result in results)
+    worlds = " and ".join(map(str, sorted({result["worlds"] for result in results})))
     population = f", {everyone:,} of all players of a side" if everyone > own else ""
     files = [
         f"{'' if task.alike else f'{side}='}{entry.folder}/{side}.safetensors" for side in task.teams for entry in done
@@ -273,7 +274,7 @@ def bench_command(task: Task, method: str, entries: Sequence[Entry], args: argpa
     games = [] if task.exact else ["--games", str(args.games)]
     return [
         sys.executable, "-m", "league", "bench", task.name, "--entry", *files, "--name", method, "--about",
-        f"{ABOUT[method]}: {own:,} decisions{population}; seeds {seeds} (experiments/baselines.py)",
+        f"{ABOUT[method]}: {own:,} decisions{population}; {worlds} worlds; seeds {seeds} (experiments/baselines.py)",
         "--out", str(out), *games,
     ]  # fmt: skip
 
