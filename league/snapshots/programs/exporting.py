@@ -19,7 +19,7 @@ def files(league: Open, name: str, base: Path) -> dict[Path, bytes] | None:
     if snapshot.script is not None or not programs.is_program(data := league.store.blobs.get(snapshot.digest)):
         return None
     kept, about = programs.from_bytes(data)
-    suffix = SUFFIX.get(about.get("kind"))
+    suffix = next((suffix for kind, suffix in SUFFIX.items() if kind == about.get("kind")), None)
     if suffix is None:
         raise StorageError(f"{name} is {shortened(kept[0][0])}, of which no code is stored: take that file.")
     ends = [""] if len(kept) == 1 else [f"-{number}" for number in range(len(kept))]
