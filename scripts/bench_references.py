@@ -1,7 +1,8 @@
-"""The references of Robot League Bench: add policies to a task, and play its references against each other.
+"""The references of Robot League Bench: add policies to a task, play its references against each other, rate them.
 
     python -m scripts.bench_references t1-sumo-rovers-v1 --add blue@16.safetensors --name happo-middle --stage middle
     python -m scripts.bench_references t1-sumo-rovers-v1 --play 256   # plays pairs whose games are missing
+    python -m scripts.bench_references t1-sumo-rovers-v1              # prints their ratings
 
 A change of a task's references changes their digest. Where references are only added, the manifest keeps the digest and
 the names of the former set if an entry in benchmarks/entries met it, so that the entry stays in the table with what it
@@ -20,7 +21,7 @@ import numpy as np
 
 from league.commands.cli import guarded
 from league.config import experiment
-from league.runs.bench import evaluation, references, tasks
+from league.runs.bench import evaluation, metrics, references, tasks
 from league.runs.bench.games import Row, bench_league
 from league.runs.bench.references import FOLDER, Reference
 from league.runs.bench.tasks import Task
@@ -124,8 +125,15 @@ def play(task: Task, games: int) -> int:
     return len(rows)
 
 
+def table(task: Task) -> str:
+    """Return the ratings of a task's references, strongest first, fitted to their games; a side's mean is 1000."""
+    fit = metrics.rated(task, (), references.of(task))
+    rows = sorted(zip(fit.names, fit.elo, fit.low, fit.high, strict=True), key=lambda row: -row[1])
+    return "\n".join(f"{name}: {elo:.0f} ({low:.0f} to {high:.0f})" for name, elo, low, high in rows)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Add a reference, or play a task's references."""
+    """Add a reference, play a task's references, or print their ratings."""
     asked = argparse.ArgumentParser(description="References of Robot League Bench.")
     asked.add_argument("task", choices=list(tasks.TASKS))
     asked.add_argument("--add", type=Path, metavar="FILE", help="a policy that `league export` wrote")
@@ -141,6 +149,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(add(task, options.add, options.name, options.kind, options.stage, options.team, options.words))
     if options.play:
         print(f"{play(task, options.play)} rows")
+    if not (options.add or options.play):
+        print(table(task))
     return 0
 
 

@@ -57,14 +57,17 @@ class ImportOptions(Where):
 
 def export(args: list[str]) -> int:
     """Write a frozen policy and its card."""
-    what = "Write a frozen policy as a safetensors file, with all that is known of it, and a card to read."
+    what = (
+        "Write a frozen policy as a safetensors file, with all that is known of it, and a card to read; one that is a"
+        " program as the ONNX or TorchScript files that it is."
+    )
     options = parse(ExportOptions, spelt(args), "export", what)
     formats: list[Format] = [name for name in SUFFIX if getattr(options, name)]
     if not formats:
         _need(options.output, "-o FILE", "export")
     with options.open() as league:
         if kept := exporting.files(league, options.snapshot, stem(Path(options.output or options.snapshot))):
-            return _export_program(league.snapshot(options.snapshot).name, kept, formats)
+            return _export_program(options, league.snapshot(options.snapshot).name, kept)
         _require_format(options.output, formats)
         rated = policy_file.ladders(league, league.snapshot(options.snapshot))
         policy = policy_file.export(league, options.snapshot, rated)
@@ -97,11 +100,13 @@ def _require_format(output: str | None, formats: Collection[Format]) -> None:
         raise ConfigError(("output",), f"{output} would be a safetensors file: name it so, or add --{named}")
 
 
-def _export_program(name: str, kept: Mapping[Path, bytes], formats: Collection[Format]) -> int:
+def _export_program(options: ExportOptions, name: str, kept: Mapping[Path, bytes]) -> int:
     """Write the files of a program, which is what it is; a card and other formats need a network that is known."""
     own = next(iter(kept)).suffix
-    if other := next((each for each in formats if SUFFIX[each] != own), None):
+    if other := next((each for each, suffix in SUFFIX.items() if getattr(options, each) and suffix != own), None):
         raise ConfigError((other,), f"{name} is a program in {own} files, and cannot be written as {other}")
+    if options.card is not None:
+        raise ConfigError(("card",), f"{name} is a program, of which no card is known: leave --card out")
     for path in kept:
         require_file_name(path)
     with ExitStack() as opened:

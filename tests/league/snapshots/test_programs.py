@@ -294,6 +294,7 @@ def test_a_program_goes_out_as_the_file_that_it_was(home, use, tmp_path):
     assert again.read_bytes() == file.read_bytes()
     assert "again.onnx" in use("export", "mine", "-o", str(again), code=2)  # never over another file
     assert "add --onnx" in use("export", "blue@0", "-o", str(tmp_path / "blue.onnx"), code=2)
+    assert "no card is known" in use("export", "mine", "-o", str(tmp_path / "m"), "--card", "m.md", code=2)
     assert "cannot be written as torchscript" in use("export", "mine", "--torchscript", code=2)
     (tmp_path / "rock.py").write_text(ROCK)
     use("import", f"{tmp_path}/rock.py:rock", "--as", "rock-again", "--team", "blue")
