@@ -52,10 +52,12 @@ class Heartbeat:
             none_on_error(store.heartbeat, worker.id, league, kinds, worker.pid, worker.host, self._status())
             if started is not None and none_on_error(store.stop_asked, league, started):
                 worker.stopping.set()
+            lease = worker.lease
             if worker.stopping.is_set() and worker.expendable and worker.spec.parent is not None:
+                if lease is not None:
+                    none_on_error(store.release, lease)
                 none_on_error(store.remove_worker, worker.id)
                 os._exit(exit_codes.DONE)
-            lease = worker.lease
             if lease is not None and time.monotonic() - renewed > config.workers.lease / 4:
                 renewed = time.monotonic()
                 if none_on_error(store.renew, lease, config.workers.lease) is False:

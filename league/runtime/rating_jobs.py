@@ -1,6 +1,7 @@
 """The rating jobs of a worker: it plays batches of matches, and leaves training its share of a GPU."""
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from league.runtime.heartbeat import none_on_error
@@ -38,15 +39,15 @@ class RatingJobs:
         if all(checkpoint.iteration == 0 for checkpoint in newest.values()):
             return
         self._looks_early = False
-        self._worker.expendable = True
-        with suppress(Exception):
+        with suppress(Exception), self._expendable():
             self._compiled().compile(self._worker.store)
-        self._worker.expendable = False
 
     def play(self, lease: Lease, task: RatingMatch) -> None:
         """Play the matches of a job and finish it. Raises LeaseLost, and any error of playing."""
         self._looks_early = False
-        worker, evaluator = self._worker, self._compiled()
+        worker = self._worker
+        with self._expendable():
+            evaluator = self._compiled()
         worker.status = {**worker.status, "doing": "rating", "pairs": len(task.lineups)}
         matches = evaluator.play(worker.store, task)
         rate = sum(match.steps for match in matches) / max(evaluator.seconds, 1e-9)  # of the device, without pauses
@@ -68,6 +69,15 @@ class RatingJobs:
         workers = none_on_error(worker.store.workers, league, NEAR) or ()
         trains_here = any(TrainingTurn.kind in each.kinds for each in workers if each.host == worker.host)
         return trains_here and any(job.kind == TrainingTurn.kind for job in jobs)
+
+    @contextmanager
+    def _expendable(self) -> Iterator[None]:
+        """Let a manager end the process at once while it compiles: no match of its job, if it has one, is played."""
+        self._worker.expendable = True
+        try:
+            yield
+        finally:
+            self._worker.expendable = False
 
     def _compiled(self) -> "MatchEvaluator":
         from league.matches.evaluator import MatchEvaluator

@@ -60,7 +60,7 @@ class Worker:
         self.lease_lost = False
         self.unfit: str | None = None
         self.pace: Pace | None = None
-        self.expendable = False  # while it compiles without a job: a manager that wants to end it need not wait
+        self.expendable = False  # while it compiles matches: a manager that wants to end it need not wait
         self._health = WorkerHealth(store, config.league, self.id, config.workers.max_attempts)
         self._patience = lock_wait.RetryReporter()
         self._rating = RatingJobs(self)

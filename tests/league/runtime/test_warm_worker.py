@@ -22,7 +22,7 @@ from league.runtime.preflight import PrepareError, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.runtime.worker_process import WorkerSpec
 from league.scheduling.turn_scheduler import next_turns
-from league.state.jobs import TrainingTurn
+from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.league_state import LeagueState
 from league.system.arena_build import Built, build
 from storage.store import Store
@@ -255,10 +255,11 @@ ARENAS = (Own(),)
 """
 
 
-def test_a_match_worker_that_compiles_before_its_first_job_ends_with_the_league(tmp_path):
+@pytest.mark.parametrize("early", [True, False])  # before its first job, or with it
+def test_a_match_worker_that_compiles_ends_with_the_league(tmp_path, early):
     (tmp_path / "own.py").write_text(HANGS)
     game = (f"{tmp_path / 'own.py'}:own", *GAME[2:], "--workers.match", "1", "--rating.worlds", "16")
-    manager = start("run", "--arena.name", *game, "--budget.success", "0.999", cwd=tmp_path)
+    manager = start("run", "--arena.name", *game, *(("--budget.success", "0.999") if early else ()), cwd=tmp_path)
     try:
         compiles = "compiling matches"
         wait_for(tmp_path, lambda store: [w for w in store.workers("tiny", 5) if w.status.get("doing") == compiles])
@@ -268,6 +269,8 @@ def test_a_match_worker_that_compiles_before_its_first_job_ends_with_the_league(
         manager.kill()
     with Store.open(tmp_path / "league-data") as store:
         assert not store.workers("tiny", 1e6)  # nobody had to be killed
+        assert early or RatingMatch.kind in {job.kind for job in store.jobs("tiny", ("queued",))}  # given back
+        assert not store.jobs("tiny", ("leased", "failed"))
 
 
 class FakeWarmWorker:
