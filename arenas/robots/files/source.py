@@ -174,6 +174,7 @@ def _left_out(spec: mujoco.MjSpec, model: mujoco.MjModel, base: int) -> Iterator
     for count, what in (
         (floor, "geom of the scene"), (len(spec.lights), "light"), (len(spec.cameras), "camera"),
         (len(spec.sensors), "sensor"), (len(spec.tendons), "tendon"), (len(spec.sites), "site"),
+        (model.nflex, "flex part"),
     ):  # fmt: skip
         if count:
             yield f"{count} {what}{'' if count == 1 else 's'}"

@@ -47,7 +47,8 @@ class BenchOptions:
     seed: int | None = field(default=None, metadata={"low": 0})
     """Seed of the games, for selecting a policy (none: that of records); the result is then a trial."""
     attack: int | None = field(default=None, metadata={"low": 1})
-    """Steps of fresh attackers, which learn for so many and for three times as many (none: not measured)."""
+    """Steps of fresh attackers, which learn for so many and for three times as many (none: not measured), in
+    whole iterations."""
     attackers: int = field(default=1, metadata={"low": 1, "high": 16})
     """Attackers of each policy, each with a seed of its own."""
     curve: str | None = None
@@ -165,16 +166,18 @@ def _all_about(task: Task) -> str:
 def _result(task: Task, content: dict[str, Any]) -> str:
     """Describe an entry's metrics."""
     found = content["metrics"]
+    names = {each["name"]: f"{each['name']} ({', '.join(each['files'])})" for each in content["policies"]}
     if task.exact:
         return "\n".join(
-            f"{each['name']}: exact exploitability {each['exploitability']:.6f}, NashConv {each['nash_conv']:.6f}."
+            f"{names[each['name']]}: exact exploitability {each['exploitability']:.6f}, NashConv"
+            f" {each['nash_conv']:.6f}."
             for each in found["policies"]
         )
     lines = []
     for each in found["policies"]:
-        rating, worst = each["rating"], each["worst"]
+        name, rating, worst = names[each["name"]], each["rating"], each["worst"]
         lines.append(
-            f"{each['name']}: {rating['elo']:.0f} Elo ({rating['low']:.0f} to {rating['high']:.0f}), where the mean of"
+            f"{name}: {rating['elo']:.0f} Elo ({rating['low']:.0f} to {rating['high']:.0f}), where the mean of"
             f" the references is 1000; worst {_percent(worst)} against {worst['against']};"
             f" {100 * each['voids']:.2f} % void{'' if each['ranked'] else NO_RANK}."
         )
@@ -185,7 +188,8 @@ def _result(task: Task, content: dict[str, Any]) -> str:
         after = "is not reached" if reached is None else f"is reached after {reached:g} s of training"
         lines.append(f"75 % against the references of the middle stage {after}.")
     for each in found["exploitability"] or []:
-        lines.append(f"An attacker of {each['policy']} scores {_percent(each)} after {each['attacker_steps']:,} steps.")
+        name, steps = names[each["policy"]], each["attacker_steps"]
+        lines.append(f"An attacker of {name} scores {_percent(each)} after {steps:,} steps.")
     if content["trial"]:
         lines.append(
             f"This is a trial, no record: a record has {GAMES:,} games of each pair, all references and the seed of"

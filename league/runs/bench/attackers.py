@@ -29,7 +29,7 @@ def attacks(
     for name in policies:
         for seed in seeds:
             for times in TIMES:
-                tell(f"attacker of {name}, seed {seed}, {times * steps:,} steps")
+                tell(f"attacker of {name}, seed {seed}, at least {times * steps:,} steps")
                 chosen = attack(league.opened, name, Budget(None, times * steps, "0s"), "scratch", seed)
                 attacker = train_attacker(league.opened, str(league.folder), chosen)
                 if attacker is None:

@@ -36,9 +36,10 @@ def write(tmp_path):
 
 
 def test_a_model_becomes_one_body_that_touches_ground_and_bodies_and_leaves_its_scene_behind(write):
-    path = write(mjcf(POSITION))
+    skin = '<deformable><flex name="skin" dim="1" body="base" vertex="0 0 0 0 0 .1" element="0 1"/></deformable>'
+    path = write(mjcf(POSITION, extra=skin))
     source = source_of(derive(path))
-    assert source.left_out == ["1 geom of the scene", "1 light", "1 camera"]
+    assert source.left_out == ["1 geom of the scene", "1 light", "1 camera", "1 flex part"]
     scene = build({"blue": [file_robot(str(path))] * 2}, timestep=0.005)
     model = scene.model
     assert (model.ncam, model.nlight) == (0, 1)  # the light of our own scene

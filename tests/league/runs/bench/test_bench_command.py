@@ -112,7 +112,7 @@ def test_an_exact_entry_has_the_exploitability_of_its_policy(tmp_path, capsys):
     (policy,) = content["metrics"]["policies"]
     assert 0 < policy["exploitability"] < 1
     assert policy["exploitability"] != pytest.approx(KnownGame("kuhn-poker").of_uniform().exploitability, abs=1e-4)
-    assert f"{policy['exploitability']:.6f}" in out
+    assert f"(mine.safetensors): exact exploitability {policy['exploitability']:.6f}" in out
     assert rerating.differences(content) == []
     content["rows"][0]["table"][0] = [1.0, 0.0]
     assert rerating.differences(content)
