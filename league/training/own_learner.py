@@ -68,6 +68,7 @@ class OwnLearner:
         self._seats: dict[int, HostPolicy] = {}  # of agents that act by functions
         self._programs: list[HostPolicy] = []  # kept, because a rollout knows them by number alone
         self._fault = ""  # of an agent's function, in the newest rollout
+        self._learnt = self._reloaded = False  # whether it has, and whether a learnt state was loaded as a test
 
     # The five methods ------------------------------------------------------------------------------------------------
 
@@ -97,16 +98,24 @@ class OwnLearner:
             figures = {str(name): float(value) for name, value in (self._learner.learn(batch) or {}).items()}
         if bad := [name for name, value in figures.items() if not math.isfinite(value)]:
             raise PlayerDiverged(self.player, f"not finite: {bad[0]} of {self.source.where}.learn")
+        self._learnt = True
         return figures or {"learnt": 1.0}
 
     def save(self) -> dict[str, np.ndarray]:
-        """Return the state as arrays; copies, which do not change as it learns on."""
+        """Return the state as arrays; copies, which do not change as it learns on.
+
+        The first state that was learnt is loaded as a test: one of which `load` forgets a part that `try_out` could not
+        see, because it had its first value. Raises PlayerDiverged then.
+        """
         with self._blamed("save"):
             found = {f"{PREFIX}{name}": _array(value) for name, value in self._learner.save().items()}
             try:
                 arrays.to_bytes(found)
             except StorageError as error:
                 raise TypeError(str(error).replace(PREFIX, "")) from None
+        if self._learnt and not self._reloaded:
+            self._reloaded = True
+            self._check_load(found)
         return found
 
     def load(self, state: Arrays) -> None:
@@ -149,12 +158,16 @@ class OwnLearner:
                 seen, noise = (np.zeros((3, n), np.float32) for n in (agent.observation_size, agent.action_size))
                 policy.act(agent.name, 0, seen, noise, np.ones(3, bool))
                 self._raise_fault(f"for observations of zeros its function of agent {i}")
-        saved = self.save()
+        self._check_load(self.save())
+
+    def _check_load(self, saved: Arrays) -> None:
+        """Raise PlayerDiverged if another learner that loads a state saves another one."""
         # Of another seed, so that it draws other weights: one that loads nothing would save the same bytes otherwise.
         again = OwnLearner(self.player, self.source._replace(seed=self.source.seed + 1))
         again.load(saved)
-        if arrays.to_bytes(again.save()) != arrays.to_bytes(saved):
-            raise self._failed(".load: afterwards `save` gives something else: a league could not continue from it")
+        if others := _differing(saved, again.save()):
+            what = f"something else ({others[0]}{', ...' if len(others) > 1 else ''})"
+            raise self._failed(f".load: afterwards `save` gives {what}: a league could not continue from it")
 
     def meet(self, opponents: Sequence[str]) -> None:
         """Tell the learner against whom its next rollouts are, if its class has a method `meet`."""
@@ -247,6 +260,17 @@ def _find(where: str) -> Callable[..., Any]:
 def _array(value: Any) -> np.ndarray:
     """Return a copy of an array of any library as one of numpy."""
     return np.array(value.detach().cpu().numpy() if isinstance(value, torch.Tensor) else value)
+
+
+def _differing(state: Arrays, other: Arrays) -> list[str]:
+    """Return the names of the arrays that two states do not have alike, bit by bit."""
+    names = {**state, **other}
+    alike = (name for name in names if name in state and name in other and _bits(state[name]) == _bits(other[name]))
+    return sorted(name.removeprefix(PREFIX) for name in names.keys() - set(alike))
+
+
+def _bits(array: np.ndarray) -> tuple[np.dtype, tuple[int, ...], bytes]:
+    return array.dtype, array.shape, array.tobytes()
 
 
 def _is_function(value: Any) -> bool:

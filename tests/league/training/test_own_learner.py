@@ -171,6 +171,22 @@ def test_a_network_of_another_kind_is_kept_as_a_program_and_plays(store, game, t
     assert match.wins + match.draws + match.losses == 64
 
 
+FORGETS = """
+class Mine(Reinforce):
+    updates = 0
+
+    def learn(self, batch):
+        self.updates += 1
+        return super().learn(batch)
+
+    def save(self):
+        return super().save() | {"updates": np.array(self.updates)}
+
+    def load(self, state):
+        super().load({name: value for name, value in state.items() if name != "updates"})
+"""
+
+
 @pytest.mark.parametrize(("text", "line"), [
     ("class Mine(Reinforce):\n    def learn(self, batch):\n        raise KeyError('gone')",
      r"red failed: .*mine\.py:Mine\.learn: KeyError: 'gone' \(mine\.py:9\)"),
@@ -180,6 +196,7 @@ def test_a_network_of_another_kind_is_kept_as_a_program_and_plays(store, game, t
      r"red diverged: not finite: mean\.bias of .*mine\.py:Mine\.export"),
     ("class Mine(Reinforce):\n    def act(self):\n        return [lambda *seen: 1 / 0]",
      r"red failed: .*mine\.py:Mine\.act: its function raised ZeroDivisionError: division by zero"),
+    (FORGETS, r"red failed: .*mine\.py:Mine\.load: afterwards `save` gives something else \(updates\)"),
 ])  # fmt: skip
 def test_a_learner_that_fails_is_one_line_and_a_setback_like_any_other(store, game, tmp_path, text, line):
     where = written(tmp_path, text)
