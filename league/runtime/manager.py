@@ -102,7 +102,7 @@ class Manager:
         try:
             started = self.store.now()
             self.store.remove_silent_workers(self.config.league, self.config.storage.worker_retention_seconds)
-            self._requeue_failed()
+            self._retry_failed()
             self._release_orphans()
             while True:
                 try:
@@ -231,10 +231,13 @@ class Manager:
             if job.holder is not None and job.holder not in beating and process_named(job.holder).dead:
                 self.store.release(Lease(job.id, job.holder, job.attempt))
 
-    def _requeue_failed(self) -> None:
-        """Queue again the jobs that were set aside, since a person has started the league again."""
+    def _retry_failed(self) -> None:
+        """Queue again the jobs that were set aside, and resume paused players: the league was started again."""
         for job in self.store.jobs(self.config.league, "failed"):
             self.store.requeue(job.id)
+        for player in self.store.players(self.config.league):
+            if player.paused is not None:
+                self.store.set_paused(self.config.league, player.name, None)
 
     # Leading ---------------------------------------------------------------------------------------------------------
 

@@ -54,7 +54,7 @@ def manage(
     `config` is the configuration that `spec` has as text. A warm worker is the process that has prepared the league. A
     curriculum's stages are prepared here, the first one by the warm worker. Returns the exit code.
 
-    Raises ManagerError if another process leads the league, or a turn of training was set aside.
+    Raises ManagerError if another process leads the league, a turn of training was set aside, or all players paused.
     """
     with Store.open(spec.store, blobs=spec.blobs) as store:
         if config.stages:
@@ -62,6 +62,7 @@ def manage(
         elif _run_league(store, spec, config, prepared, on_lead, warm_worker) != "stopped":
             print(f"\n{summary(config, curriculum.stage_state(store, config))}")
             _refuse_set_aside(store, config)
+            _refuse_all_paused(store, config)
     return 0
 
 
@@ -79,6 +80,14 @@ def _refuse_set_aside(store: Store, config: Config) -> None:
                 f"a turn of training was set aside, so its players learnt no further: {why}"
                 " (`league status` tells more; the same command tries it again)"
             )
+
+
+def _refuse_all_paused(store: Store, config: Config) -> None:
+    """Raise ManagerError, one line, if every player was paused: nobody has learnt to the end."""
+    players = store.players(config.league)
+    if all(player.paused is not None for player in players):
+        why = (players[0].paused or "").strip().splitlines()[0]
+        raise ManagerError(f"all players were paused: {why} (`league status` tells more; the same command tries again)")
 
 
 def _run_league(

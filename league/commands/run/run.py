@@ -85,7 +85,8 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
             return _start(request, spec, config, prepared, warm_worker)
         state = with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
         config = _with_budget(request, state)
-        if trained_enough(config, state) and not rating_goes_on(config, state):
+        paused = any(player.paused is not None for player in state.players)  # the manager resumes them
+        if trained_enough(config, state) and not paused and not rating_goes_on(config, state):
             print(f"{summary(config, state)}\n\n{_budget_had(config)}")
             return 0
     if config != request.config:

@@ -2,10 +2,12 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
 
 from league.commands.run.join import worker
+from league.system import exit_codes
 from storage.errors import StorageError
 from storage.store import Store
 from tests.league.conftest import call, hold, start, wait_for
@@ -92,3 +94,33 @@ def test_a_run_whose_training_was_set_aside_says_so_and_what_is_done_again_ends_
     assert call(*run, "4096", cwd=tmp_path).returncode == 0
     with Store.open(tmp_path / "league-data") as store:
         assert store.newest_checkpoints("tiny")["red"].step >= 4096
+
+
+BREAKS = """
+from pathlib import Path
+from arenas import python_file
+Reinforce = python_file(Path({example!r})).Reinforce
+
+class Mine(Reinforce):
+    def learn(self, batch):
+        raise KeyError("gone")
+"""
+
+
+@pytest.mark.slow  # two leagues begin, a third of a minute
+def test_a_run_whose_players_are_all_paused_says_so_and_learns_when_their_learner_is_mended(tmp_path):
+    mine = tmp_path / "mine.py"
+    mine.write_text(BREAKS.format(example=str(Path(__file__).parents[3] / "docs" / "examples" / "reinforce.py")))
+    run = ("run", *GAME, "--workers.match", "0", "--budget.rating_time", "0s", "--learner.class", "mine.py:Mine")
+    run += ("--budget.steps", "2048")
+    told = call(*run, cwd=tmp_path)
+    assert told.returncode == exit_codes.BAD_INPUT, told.stderr
+    line = told.stderr.splitlines()[-1]
+    assert line.startswith("league: all players were paused: ")
+    assert "KeyError: 'gone'" in line
+    mine.write_text(mine.read_text().replace('raise KeyError("gone")', "return super().learn(batch)"))
+    told = call(*run, cwd=tmp_path)
+    assert told.returncode == 0, told.stderr
+    with Store.open(tmp_path / "league-data") as store:
+        assert [player.paused for player in store.players("tiny")] == [None, None]
+        assert min(each.step for each in store.newest_checkpoints("tiny").values()) >= 2048
