@@ -177,6 +177,7 @@ def _run_stage(
         )
     if is_last:
         print(f"\n{summary(stage, league_state)}")
+        _refuse_all_paused(store, stage)
     else:
         print(f"Stage {config.stages[number].name} has ended: {why}.{_handed_on(stage, league_state)}\n")
     return True
