@@ -264,13 +264,12 @@ def _array(value: Any) -> np.ndarray:
 
 def _differing(state: Arrays, other: Arrays) -> list[str]:
     """Return the names of the arrays that two states do not have alike, bit by bit."""
-    names = {**state, **other}
-    alike = (name for name in names if name in state and name in other and _bits(state[name]) == _bits(other[name]))
-    return sorted(name.removeprefix(PREFIX) for name in names.keys() - set(alike))
+    names = state.keys() | other.keys()
+    return sorted(name.removeprefix(PREFIX) for name in names if _bits(state.get(name)) != _bits(other.get(name)))
 
 
-def _bits(array: np.ndarray) -> tuple[np.dtype, tuple[int, ...], bytes]:
-    return array.dtype, array.shape, array.tobytes()
+def _bits(array: np.ndarray | None) -> tuple[np.dtype, tuple[int, ...], bytes] | None:
+    return None if array is None else (array.dtype, array.shape, array.tobytes())
 
 
 def _is_function(value: Any) -> bool:
