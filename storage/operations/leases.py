@@ -170,10 +170,9 @@ def record_setback(db: sa.Connection, lease: Lease, player: str, reason: str, li
     reason = _storable(reason)
     league = end_lease(db, lease, state="done", error=reason)
     c = t.players.c
-    counted = {
-        "setbacks": c.setbacks + 1,
-        "paused": sa.case((c.setbacks + 1 > limit, reason), else_=c.paused),
-    }
+    # A player that was resumed keeps its count, and has `limit` setbacks again before the next pause.
+    pauses = sa.or_(c.paused.is_not(None), (c.setbacks + 1) % (limit + 1) == 0)
+    counted = {"setbacks": c.setbacks + 1, "paused": sa.case((pauses, reason), else_=c.paused)}
     if db.execute(sa.update(t.players).where(c.league == league, c.name == player).values(counted)).rowcount == 0:
         raise UnknownName("player", player, db.scalars(sa.select(c.name).where(c.league == league)))
     bump_revisions(db, [league])

@@ -1,7 +1,6 @@
 """Operations on players: their snapshots, their checkpoints and the phases in which they learn."""
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 import sqlalchemy as sa
 
@@ -27,11 +26,15 @@ class Players(StoreBase):
         return self._db.records(Player, t.players, c.league == league, order=(c.team, c.name))
 
     def set_paused(self, league: str, player: str, reason: str | None) -> None:
-        """Pause a player's learning for a reason, or resume it with None and reset its setbacks. Raises UnknownName."""
+        """Pause a player's learning for a reason, or resume it with None. Raises UnknownName.
+
+        Its count of setbacks stays, because it tells the next turn from those that failed: a key is queued only once.
+        """
         c = t.players.c
-        values: dict[str, Any] = {"paused": reason} if reason is not None else {"paused": None, "setbacks": 0}
         with self._db.writing() as db:  # the player's row before the league's, as at the end of a turn
-            found = db.execute(sa.update(t.players).where(c.league == league, c.name == player).values(values)).rowcount
+            found = db.execute(
+                sa.update(t.players).where(c.league == league, c.name == player).values(paused=reason)
+            ).rowcount
             rows.bump_revisions(db, [league])
             if found == 0:
                 raise UnknownName("player", player, db.scalars(sa.select(c.name).where(c.league == league)))

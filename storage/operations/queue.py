@@ -169,7 +169,8 @@ class JobQueue(StoreBase):
     def record_setback(self, lease: Lease, player: str, reason: str, limit: int = 1) -> bool:
         """End a job (done, the reason kept) in which a player's learning diverged; False when the lease was lost.
 
-        With more than `limit` setbacks in a row the player is paused for that reason. Raises UnknownName.
+        With more than `limit` setbacks in a row since it was last resumed the player is paused for that reason. Raises
+        UnknownName.
         """
         with suppress(LeaseLost), self._db.writing() as db:
             leases.record_setback(db, lease, player, reason, limit)

@@ -54,7 +54,7 @@ def manage(
     `config` is the configuration that `spec` has as text. A warm worker is the process that has prepared the league. A
     curriculum's stages are prepared here, the first one by the warm worker. Returns the exit code.
 
-    Raises ManagerError if another process leads the league, a turn of training was set aside, or all players paused.
+    Raises ManagerError if another process leads the league, a turn of training was set aside, or a player was paused.
     """
     with Store.open(spec.store, blobs=spec.blobs) as store:
         if config.stages:
@@ -62,7 +62,7 @@ def manage(
         elif _run_league(store, spec, config, prepared, on_lead, warm_worker) != "stopped":
             print(f"\n{summary(config, curriculum.stage_state(store, config))}")
             _refuse_set_aside(store, config)
-            _refuse_all_paused(store, config)
+            _refuse_paused(store, config)
     return 0
 
 
@@ -82,12 +82,15 @@ def _refuse_set_aside(store: Store, config: Config) -> None:
             )
 
 
-def _refuse_all_paused(store: Store, config: Config) -> None:
-    """Raise ManagerError, one line, if every player was paused: nobody has learnt to the end."""
+def _refuse_paused(store: Store, config: Config) -> None:
+    """Raise ManagerError, one line, if a player was paused: it has not learnt to the end."""
     players = store.players(config.league)
-    if all(player.paused is not None for player in players):
-        why = (players[0].paused or "").strip().splitlines()[0]
-        raise ManagerError(f"all players were paused: {why} (`league status` tells more; the same command tries again)")
+    paused = [player for player in players if player.paused is not None]
+    if paused:
+        who = "all players" if paused == players else " and ".join(player.name for player in paused)
+        why = (paused[0].paused or "").strip().splitlines()[0]
+        were = "were" if len(paused) > 1 else "was"
+        raise ManagerError(f"{who} {were} paused: {why} (`league status` tells more; the same command tries again)")
 
 
 def _run_league(
@@ -177,7 +180,7 @@ def _run_stage(
         )
     if is_last:
         print(f"\n{summary(stage, league_state)}")
-        _refuse_all_paused(store, stage)
+        _refuse_paused(store, stage)
     else:
         print(f"Stage {config.stages[number].name} has ended: {why}.{_handed_on(stage, league_state)}\n")
     return True

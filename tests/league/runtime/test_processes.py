@@ -108,19 +108,24 @@ class Mine(Reinforce):
 
 
 @pytest.mark.slow  # two leagues begin, a third of a minute
-def test_a_run_whose_players_are_all_paused_says_so_and_learns_when_their_learner_is_mended(tmp_path):
+@pytest.mark.parametrize(
+    ("schedule", "told_of", "learners"),
+    [("simultaneous", "all players were", ("blue", "red")), ("frozen", "blue was", ("blue",))],
+)
+def test_a_run_with_paused_players_says_so_and_learns_when_they_are_mended(tmp_path, schedule, told_of, learners):
     mine = tmp_path / "mine.py"
     mine.write_text(BREAKS.format(example=str(Path(__file__).parents[3] / "docs" / "examples" / "reinforce.py")))
     run = ("run", *GAME, "--workers.match", "0", "--budget.rating_time", "0s", "--learner.class", "mine.py:Mine")
-    run += ("--budget.steps", "2048")
+    run += ("--budget.steps", "2048", "--training.schedule.kind", schedule)
     told = call(*run, cwd=tmp_path)
     assert told.returncode == exit_codes.BAD_INPUT, told.stderr
     line = told.stderr.splitlines()[-1]
-    assert line.startswith("league: all players were paused: ")
+    assert line.startswith(f"league: {told_of} paused: ")
     assert "KeyError: 'gone'" in line
     mine.write_text(mine.read_text().replace('raise KeyError("gone")', "return super().learn(batch)"))
     told = call(*run, cwd=tmp_path)
     assert told.returncode == 0, told.stderr
     with Store.open(tmp_path / "league-data") as store:
         assert [player.paused for player in store.players("tiny")] == [None, None]
-        assert min(each.step for each in store.newest_checkpoints("tiny").values()) >= 2048
+        learnt = store.newest_checkpoints("tiny")
+        assert min(learnt[name].step for name in learners) >= 2048

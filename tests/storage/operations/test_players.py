@@ -51,7 +51,9 @@ def test_a_paused_player_tells_why_until_it_goes_on(store: Store):
         setback(store, f"loss is nan, time {expected[0]}")
         assert blue() == expected
     store.set_paused("cup", "blue", None)
-    assert blue() == (0, None)
+    assert blue() == (3, None)
+    setback(store, "loss is nan, time 4")
+    assert blue() == (4, "loss is nan, time 4")
     with pytest.raises(UnknownName, match=r"no player 'blu'.*blue, red"):
         store.set_paused("cup", "blu", "x")
     with pytest.raises(UnknownName, match=r"no player 'blu'"):
