@@ -33,7 +33,8 @@ from storage.store import Store
 TICK = 0.2  # seconds between two reads of the store
 LEASE = 15.0  # seconds for which a manager leads without renewing its lease
 SILENT = 3 * BEAT  # seconds without a heartbeat after which a process that cannot be found counts as dead
-GRACE = 60.0  # seconds in which a worker has to finish its iteration
+GRACE = 60.0  # seconds in which a worker has to finish its iteration, at least
+PATIENCE = 3.0  # iterations' times in which it has to finish one, at least
 MAX_RESTARTS = 5  # in a row, each within RESTART_WINDOW: then a restart does not solve the problem
 RESTART_WINDOW = 30.0
 REST = 300.0  # seconds until an unfit worker, which could not do jobs that others can do, is started again
@@ -211,13 +212,27 @@ class Manager:
         alive = [slot.process for slot in self._slots if slot.process is not None and slot.process.is_alive()]
         for process in alive:
             process.terminate()
-        deadline = time.monotonic() + GRACE
+        deadline = time.monotonic() + self._grace()
         with suppress(KeyboardInterrupt):
             while not self.hurried and time.monotonic() < deadline and any(p.is_alive() for p in alive):
                 time.sleep(0.05)
         for process in alive:
             process.kill()
             process.join()
+
+    def _grace(self) -> float:
+        """Return the seconds in which workers have to finish: an iteration may take longer than GRACE.
+
+        One that is killed before it commits its turn loses all iterations of that turn.
+        """
+        training, speeds = self.config.training, []
+        with suppress(Unavailable):
+            workers = self.store.workers(self.config.league, 10 * BEAT)
+            speeds = [speed for worker in workers if (speed := worker.status.get("steps_per_second"))]
+        if training.worlds is None or not speeds:
+            return GRACE
+        steps = training.worlds * training.devices * training.rollout_length
+        return max(GRACE, PATIENCE * steps / min(speeds))
 
     def _release_orphans(self) -> None:
         """Release the jobs that dead processes of this host hold, rather than wait until their leases expire.
