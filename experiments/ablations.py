@@ -44,6 +44,7 @@ from storage.store import Store
 
 Flags = Mapping[str, str]
 WINDOW = 10  # learning iterations over which a curve is averaged
+SAMPLES = 20_000  # draws of the seeds for an interval
 
 PLAIN = {"budget.rating_time": "0s", "workers.match": "0", "training.iterations_per_turn": "32", "rating.scripts": "[]"}
 WALK = {
@@ -308,15 +309,39 @@ def brought(folder: Path, source: Path, variant: str, seed: int) -> dict[str, tu
 
 
 def of_variants(table: list[dict], whose: Mapping[str, tuple[str, str, str]]) -> dict[str, dict]:
-    """Return mean and spread of the score of each variant against each other, by roster, over all pairs of seeds."""
-    found: dict[str, list[float]] = {}
+    """Return mean and spread of the score of each variant against each other, by roster, over all pairs of seeds.
+
+    With several seeds of two variants also the 95 % interval of the mean with seeds drawn again (`low`, `high`).
+    """
+    found: dict[str, dict[tuple[str, str], list[float]]] = {}
     alike = len({roster for *_, roster in whose.values()}) == 1
     for row in table:
         for a, b, value in ((row["a"], row["b"], row["score"]), (row["b"], row["a"], 1 - row["score"])):
             variant = whose[a][0] if alike else f"{whose[a][0]} ({whose[a][2]})"
-            found.setdefault(f"{variant} against {whose[b][0]}", []).append(value)
-    return {name: {**spread(values), "mean": round(float(np.mean(values)), 4), "pairs": len(values)}
-            for name, values in sorted(found.items())}  # fmt: skip
+            name = f"{variant} against {whose[b][0]}"
+            found.setdefault(name, {}).setdefault((whose[a][1], whose[b][1]), []).append(value)
+    means = {}
+    for name, by_seeds in sorted(found.items()):
+        values = [value for each in by_seeds.values() for value in each]
+        means[name] = {**spread(values), "mean": round(float(np.mean(values)), 4), "pairs": len(values)}
+        means[name] |= seeds_drawn_again(by_seeds)
+    return means
+
+
+def seeds_drawn_again(scores: Mapping[tuple[str, str], list[float]]) -> dict[str, float]:
+    """Return the 95 % interval of the mean score when the seeds of either side are drawn again (bootstrap).
+
+    Nothing with one seed of a side, or without a pair of seeds, as where a variant meets itself.
+    """
+    firsts, seconds = (sorted({pair[side] for pair in scores}) for side in (0, 1))
+    if min(len(firsts), len(seconds)) < 2 or len(scores) < len(firsts) * len(seconds):
+        return {}
+    table = np.array([[np.mean(scores[a, b]) for b in seconds] for a in firsts])
+    rng = np.random.default_rng(0)
+    rows = rng.integers(len(firsts), size=(SAMPLES, len(firsts), 1))
+    columns = rng.integers(len(seconds), size=(SAMPLES, 1, len(seconds)))
+    low, high = np.percentile(table[rows, columns].mean(axis=(1, 2)), (2.5, 97.5))
+    return {"low": round(float(low), 4), "high": round(float(high), 4)}
 
 
 if __name__ == "__main__":
