@@ -141,6 +141,12 @@ ABLATIONS = {
     "sharing-quick": Ablation(
         "sumo-2v2", 900_000, {"own": {}, "shared": {"learner.share-actors": "true"}}, QUICK,
     ),
+    "horizons-quick": Ablation(
+        "sumo-2v2", 900_000, {
+            "0.95": {}, "0.98": {"learner.gae-lambda": "0.98"}, "1": {"learner.gae-lambda": "1"},
+            "long": {"learner.gae-lambda": "1", "training.rollout-length": "100", "learner.minibatches": "12"},
+        }, QUICK,
+    ),
 }  # fmt: skip
 
 

@@ -16,6 +16,7 @@ MET = {
     "anymals-sumo": ("pusher:red", 0.7), "leatherbacks-sumo": ("trot:blue", 0.7),
     "anymal-leatherback-sumo": ("idle", 0.7),
     "anymal-score": (None, 0.08), "leatherback-score": (None, 0.4),
+    "anymal-soccer": ("idle:red", 0.8), "leatherback-soccer": ("idle:blue", 0.7),
     "anymal-ball": (None, 0.9), "minitank-aim": (None, 0.9), "crazyflie-fly": (None, 0.9),
     "minitank-galaga": ("dodger:red", 0.9), "crazyflie-galaga": ("random:blue", 0.85),
     "minitanks-galaga": ("dodger:red", 0.8), "crazyflies-galaga": ("random:blue", 0.8),
