@@ -79,8 +79,8 @@ class Config:
     storage: Storage = field(default_factory=Storage)
     """Limits and places of what the store keeps."""
     after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_forerunner, names)]})
-    """Leagues of this store, snapshots of them (main/blue@49), or policies that come with the league, from which the
-    players here start; the nearest first."""
+    """Leagues of this store, snapshots of them (main/blue@49), policies that come with the league, or files that
+    `league export` wrote (my/policy.safetensors), from which the players here start; the nearest first."""
     stages: tuple[parts.Stage, ...] = field(default=(), metadata={"apart": True})
     """A curriculum: tables [[stages]] with what differs from the settings above, walked in their order."""
 

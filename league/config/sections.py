@@ -20,6 +20,7 @@ MOST_WORLDS = 2**20  # more exceeds the memory of today's machines and is likely
 
 LONGEST_NAME = 100  # characters: leagues and players name files, whose names have at most 255 bytes
 
+POLICY_FILE = ".safetensors"  # ends the name of a file that `league export` wrote
 SHAPING_DURATION = 500_000  # environment steps over which the dense reward fades by default
 
 
@@ -47,11 +48,19 @@ def check_name(value: str) -> None:
 
 
 def check_forerunner(value: str) -> None:
-    """Raise ValueError unless a text can name a league or a frozen policy, or a snapshot of a league after a slash."""
+    """Raise ValueError unless a text can name a league or a frozen policy, or a snapshot of a league after a slash.
+
+    A policy's file may have any name that ends as such files do.
+    """
+    if value.endswith(POLICY_FILE):
+        return
     league, slash, snapshot = value.partition("/")
     check_name(league)
     if slash and not (league and re.fullmatch(r"[\w.+@:-]+", snapshot)):
-        raise ValueError("a snapshot is named by its league, a slash and its own name: main/blue@49")
+        raise ValueError(
+            "a snapshot is named by its league, a slash and its own name: main/blue@49, a file by its path:"
+            f" my/policy{POLICY_FILE}"
+        )
 
 
 @dataclass(frozen=True)

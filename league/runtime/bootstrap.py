@@ -72,8 +72,11 @@ def _validate_rosters(store: Store, config: Config, arena: "Arena", players: lis
 def validate_stage_starts(where: str, config: Config, stages: list[list[Player]]) -> None:
     """Raise ConfigError if a stage's players do not fit those from which they start.
 
-    The players of earlier stages are taken from `stages`, since the store does not have them yet.
+    The players of earlier stages are taken from `stages`, since the store does not have them yet. Nothing is checked
+    once all players of the last stage have checkpoints: a file that `after` names may be gone then.
     """
+    if _has_begun(where, config):
+        return
     before = _predecessors(where, config)
     for number, players in enumerate(stages):
         try:
@@ -83,6 +86,17 @@ def validate_stage_starts(where: str, config: Config, stages: list[list[Player]]
             what = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.after)}"
             raise ConfigError(key, f"{what}: {error}") from None
         before.insert(0, players)
+
+
+def _has_begun(where: str, config: Config) -> bool:
+    """Return whether every player of the league, or of a curriculum's last stage, has a checkpoint to resume from."""
+    last = configuration.stage(config, len(config.stages) - 1) if config.stages else config
+    try:
+        with Store.open(where, blobs=config.storage.blobs) as store:
+            players = store.players(last.league)
+            return bool(players) and store.newest_checkpoints(last.league).keys() >= {p.name for p in players}
+    except NotAStore:
+        return False
 
 
 def _predecessors(where: str, config: Config) -> list[Sequence[Player]]:

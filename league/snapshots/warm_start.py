@@ -1,7 +1,7 @@
 """Warm start: the players of a league take over actors and critics of earlier leagues.
 
-A frozen policy that comes with the league counts as a league of one player without a critic, and so does a snapshot,
-which `after` names as league/snapshot.
+A frozen policy that comes with the league counts as a league of one player without a critic, and so do a snapshot,
+which `after` names as league/snapshot, and a file that `league export` wrote.
 
 An agent continues from an agent of the same kind of robot, of the nearest league that has one. If that league has
 several, they are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of
@@ -9,6 +9,7 @@ observation or action is refused, because that is a mistake in the settings.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from agents.policy.skill_arrays import PREFIX, strategy_of
 from arenas.rosters import bare, roster_agents
 from league.config import toml
 from league.config.experiment import Config
-from league.config.sections import Rating
+from league.config.sections import POLICY_FILE, Rating
 from league.queries.league_settings import LeagueSettings
 from league.scheduling.training_progress import handed_on
 from league.snapshots import policy_file
@@ -46,7 +47,7 @@ class WarmStart(NamedTuple):
     critic: tuple[str, str] | None  # (league, player); None starts from scratch, with the value normaliser
 
 
-FROZEN = "frozen"  # the role of a policy that comes with the league
+FROZEN = "frozen"  # the role of a policy that comes with the league, or from a file
 
 
 class IncompatiblePolicy(ValueError):  # noqa: N818  (named after the policy)
@@ -167,23 +168,26 @@ def describe(starts: Mapping[str, WarmStart], store: Store | None = None) -> lis
 
 
 def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:
-    """Return the players for each name: of a league of the store, of a snapshot, else of a policy that comes with the
-    league.
+    """Return the players for each name: of a league of the store, of a snapshot, of a policy that comes with the
+    league, or of a file.
 
-    Raises UnknownName for a name that is none of them, StorageError for a snapshot without networks.
+    Raises UnknownName for a name that is none of them, StorageError for a snapshot without networks, ExchangeError for
+    a file without a policy.
     """
     leagues = {league.name: store for league in store.leagues()} if store else {}
     for name in named:
-        if name.partition("/")[0] not in leagues and name not in policy_file.trained():
+        if name.partition("/")[0] not in leagues and not _is_policy(name):
             raise UnknownName("league or trained policy", name, [*leagues, *policy_file.trained()])
     found: list[Sequence[Player]] = []
     for name in named:
         league, slash, _ = name.partition("/")
-        if slash:
+        if _is_policy(name) and name not in leagues:
+            found.append([_player_of(name)])
+        elif slash:
             snapshot = _snapshot(leagues[league], name)
             found.append([Player(name, snapshot.name, 0, FROZEN, snapshot.roster)])
         else:
-            found.append(leagues[name].players(name) if name in leagues else [_shipped_player(name)])
+            found.append(leagues[name].players(name))
     return found
 
 
@@ -201,7 +205,13 @@ def _snapshot(store: Store, name: str) -> Snapshot:
     return snapshot
 
 
-def _shipped_player(name: str) -> Player:
+def _is_policy(name: str) -> bool:
+    """Return whether the name is that of a policy that comes with the league, or a file's."""
+    return name in policy_file.trained() or name.endswith(POLICY_FILE)
+
+
+def _player_of(name: str) -> Player:
+    """Return the player of a policy that comes with the league or is in a file. Raises ExchangeError."""
     about = policy_file.read(policy_file.find(name)).about
     return Player(name, about["name"], 0, FROZEN, about["roster"])
 
@@ -254,12 +264,14 @@ def start(store: Store | None, learner: "HappoLearner", sources: WarmStart) -> s
 
 def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
     """Return the name of a source player and its learner's state; for a frozen policy only the part for actors."""
-    if store is not None and "/" in league:
+    known = {each.name for each in store.leagues()} if store is not None else set()
+    if league not in known and _is_policy(league):
+        return f"{Path(league).stem}/{player}", _arrays_of(policy_file.read(policy_file.find(league)))
+    assert store is not None  # `forerunners` knows no league of a store that is not there
+    if "/" in league:
         snapshot = _snapshot(store, league)
         state = _named(arrays.from_bytes(store.blobs.get(snapshot.digest)))
         return league, _with_counts(state, snapshot.roster, snapshot.step)
-    if store is None or league not in {known.name for known in store.leagues()}:
-        return f"{league}/{player}", _arrays_of(policy_file.read(policy_file.find(league)))
     kept = store.checkpoint(league, player)
     if kept is None:
         raise StorageError(f"player {player} of league {league} has no checkpoint to start from")

@@ -8,7 +8,7 @@ import torch
 
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
-from league.snapshots import warm_start
+from league.snapshots import policy_file, warm_start
 from league.snapshots.codec import freeze
 from storage.blobs import arrays
 from storage.errors import StorageError, UnknownName
@@ -82,3 +82,28 @@ def test_a_snapshot_without_networks_is_refused(store, name, error, says):
 def test_what_names_no_snapshot_is_no_forerunner(name):
     with pytest.raises(ConfigError, match="after"):
         configuration.loads(f'after = ["{name}"]')
+
+
+def test_players_start_from_a_file_as_from_the_policy_that_comes_with_the_league(store, tmp_path):
+    shipped = policy_file.find("leatherback-push")
+    file = tmp_path / "my" / "pusher.safetensors"
+    file.parent.mkdir()
+    file.write_bytes(shipped.read_bytes())
+    mine = Player("next", "mine", 1, "main", policy_file.read(shipped).about["roster"])
+    (found,) = warm_start.of(store, [mine], [str(file)]).values()
+    (source,) = found.actors
+    assert source is not None
+    assert found.critic is None
+    name, state = warm_start._state(store, source.league, source.player)
+    _, same = warm_start._state(None, "leatherback-push", source.player)
+    assert name == f"pusher/{policy_file.read(shipped).about['name']}"
+    assert state.keys() == same.keys()
+    assert all(np.array_equal(state[key], same[key]) for key in same)
+
+
+def test_a_file_that_is_no_policy_is_refused(store, tmp_path):
+    (tmp_path / "text.safetensors").write_text("no arrays")
+    with pytest.raises(policy_file.ExchangeError, match=r"text\.safetensors is no policy that `league export` wrote"):
+        warm_start.forerunners(store, [str(tmp_path / "text.safetensors")])
+    with pytest.raises(StorageError, match=r"there\.safetensors"):
+        warm_start.forerunners(store, [str(tmp_path / "not" / "there.safetensors")])

@@ -19,7 +19,7 @@ from storage.blobs import arrays
 from storage.errors import UnknownName
 from storage.records import Player
 from storage.store import Store
-from tests.league.conftest import ROOT, call, said, start, wait_for
+from tests.league.conftest import BODILESS, ROOT, call, said, start, wait_for
 
 SOLO = f"{ROOT / 'tests' / 'arenas' / 'solo.py'}:solo"
 WALK = f"""
@@ -327,3 +327,18 @@ def test_sumo_by_team_is_walked_from_the_first_step_to_the_matches(tmp_path):
         }  # fmt: skip
         assert not store.jobs("sumo-by-team.match", "failed")
         assert min(c.step for c in store.newest_checkpoints("sumo-by-team.match").values()) >= 2000
+
+
+def test_a_league_starts_from_a_file_and_needs_it_no_more_once_it_has_begun(bodiless_league, tmp_path):
+    file, store = tmp_path / "mine.safetensors", str(bodiless_league / "league-data")
+    exported = call("export", "blue", "--store", store, "-o", str(file), cwd=tmp_path)
+    assert exported.returncode == 0, exported.stderr
+    rest = ("--steps", "4096", "--budget.rating_time", "0s", "--workers.match", "0")
+    first = call("run", *BODILESS, *rest, "--after", file.name, cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    assert f"red: actors go on from {file.name}'s blue@4/0; critic starts afresh" in first.stdout
+    with Store.open(tmp_path / "league-data") as begun:
+        assert begun.snapshots("tiny", "blue")[0].digest == policy_file.read(file).about["digest"]
+    file.unlink()
+    again = call("run", *rest, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
