@@ -114,7 +114,7 @@ def _far(gae_lambda: float, rollout_length: int, minibatches: int) -> dict[str, 
     """Return settings by which advantages of matches look further ahead, so that neither side forgets.
 
     Measured in soccer from players that score, and within team (docs/results.md). The stages before keep λ = 0.95: a
-    robot that cannot score yet learns nothing with λ = 1.
+    robot that cannot score yet learnt little with λ = 1.
     """
     learner = {"gae_lambda": gae_lambda, "minibatches": minibatches}
     return {"learner": learner, "training": {"rollout_length": rollout_length}}
