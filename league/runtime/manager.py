@@ -24,7 +24,7 @@ from league.runtime.worker_process import WorkerSpec, run_process
 from league.scheduling.planner import BEFORE_RATING, plan
 from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.league_state import LeagueState
-from league.state.liveness import process_named
+from league.state.liveness import GRACE, grace, process_named
 from league.system import exit_codes
 from storage.errors import Unavailable
 from storage.records import Lease, Worker
@@ -33,8 +33,6 @@ from storage.store import Store
 TICK = 0.2  # seconds between two reads of the store
 LEASE = 15.0  # seconds for which a manager leads without renewing its lease
 SILENT = 3 * BEAT  # seconds without a heartbeat after which a process that cannot be found counts as dead
-GRACE = 60.0  # seconds in which a worker has to finish its iteration, at least
-PATIENCE = 3.0  # iterations' times in which it has to finish one, at least
 MAX_RESTARTS = 5  # in a row, each within RESTART_WINDOW: then a restart does not solve the problem
 RESTART_WINDOW = 30.0
 REST = 300.0  # seconds until an unfit worker, which could not do jobs that others can do, is started again
@@ -221,18 +219,10 @@ class Manager:
             process.join()
 
     def _grace(self) -> float:
-        """Return the seconds in which workers have to finish: an iteration may take longer than GRACE.
-
-        One that is killed before it commits its turn loses all iterations of that turn.
-        """
-        training, speeds = self.config.training, []
+        """Return the seconds in which workers have to finish; GRACE if the store is away."""
         with suppress(Unavailable):
-            workers = self.store.workers(self.config.league, 10 * BEAT)
-            speeds = [speed for worker in workers if (speed := worker.status.get("steps_per_second"))]
-        if training.worlds is None or not speeds:
-            return GRACE
-        steps = training.worlds * training.devices * training.rollout_length
-        return max(GRACE, PATIENCE * steps / min(speeds))
+            return grace(self.store.workers(self.config.league, 10 * BEAT))
+        return GRACE
 
     def _release_orphans(self) -> None:
         """Release the jobs that dead processes of this host hold, rather than wait until their leases expire.

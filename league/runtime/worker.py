@@ -223,12 +223,14 @@ class Worker:
             trainer.close()
 
     def _run_turn(self, trainer: "Trainer | DataParallelTrainer | RanksTrainer", turn: TrainingTurn) -> None:
+        began = time.monotonic()
         for at in trainer.turn(self.store, turn, self._should_stop):
+            began, before = time.monotonic(), began
             furthest = max(at.counters.values(), key=lambda c: c.iteration)
             self.status = {
                 "doing": "training", "group": turn.group, "learners": list(turn.learners),
                 "iteration": furthest.iteration, "steps": furthest.steps, "seconds": furthest.seconds,
-                "steps_per_second": at.steps_per_second,
+                "steps_per_second": at.steps_per_second, "iteration_seconds": began - before,
             }  # fmt: skip
 
     def _should_stop(self) -> bool:

@@ -3,6 +3,7 @@
 import os
 import re
 import socket
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,8 @@ from storage.records import Worker
 from storage.store import Store
 
 SEEN = 10.0  # seconds without a heartbeat after which a process of another host counts as dead
+GRACE = 60.0  # seconds in which a worker that is to stop has to finish its iteration, at least
+PATIENCE = 3.0  # times of its newest iteration in which it has to finish one, at least
 STARTING = 300.0  # the same for an existing process of this host: compiling can delay heartbeats for long
 
 
@@ -56,6 +59,14 @@ def leader(store: Store, league: str) -> str | None:
     """Return the league's manager, `host:pid:manager`; None if there is none, or if it has died on this host."""
     found = store.leader(league)
     return None if found is None or not isinstance(found[0], str) or is_dead(found[0]) else found[0]
+
+
+def grace(workers: Iterable[Worker]) -> float:
+    """Return the seconds in which workers that are to stop have to finish: an iteration may take longer than GRACE.
+
+    One that is killed before it commits its turn loses all iterations of that turn.
+    """
+    return max([GRACE, *(PATIENCE * worker.status.get("iteration_seconds", 0.0) for worker in workers)])
 
 
 def processes(store: Store, league: str) -> list[Worker]:

@@ -3,10 +3,10 @@
 import time
 
 from league.commands.options import Where, parse
-from league.state.liveness import leader, processes
+from league.state.liveness import grace, leader, processes
 from storage.errors import StorageError
 
-WAIT = 90.0  # seconds for workers to finish their iteration; a manager ends those that take longer than a minute
+WAIT = 30.0  # seconds beyond those in which a manager lets workers finish their iteration
 
 
 def stop(args: list[str]) -> int:
@@ -24,10 +24,11 @@ def stop(args: list[str]) -> int:
             return 0
         store.ask_stop(league)
         print(f"Stopping league {league}: its workers finish what they are at.", flush=True)
-        deadline = time.monotonic() + WAIT
+        wait = grace(processes(store, league)) + WAIT
+        deadline = time.monotonic() + wait
         while (left := running()) and time.monotonic() < deadline:
             time.sleep(0.3)
     if left:
-        raise StorageError(f"{len(left)} processes of league {league} still work after {WAIT:.0f} s: {left[0]}")
+        raise StorageError(f"{len(left)} processes of league {league} still work after {wait:.0f} s: {left[0]}")
     print(f"League {league} has stopped.")
     return 0

@@ -57,6 +57,7 @@ def test_one_turn_follows_the_other_without_a_manager_and_one_that_asks_as_well_
         assert asked(store) == 0
         assert len(store.jobs(LEAGUE, "queued")) <= 1
         ends.append(store.checkpoint(LEAGUE, "blue").iteration)
+        assert ends[-1] == 0 or learner.status["iteration_seconds"] > 0
     assert ends == [0, 1, 2, 4, 7]  # at the last one its budget is spent
     assert {job.state for job in store.jobs(LEAGUE)} == {"done"}
 
