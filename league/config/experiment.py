@@ -185,8 +185,7 @@ class Config:
 def stage(config: Config, number: int) -> Config:
     """Return the settings of one stage: a league of its own, `main.walk` for the stage `walk` of `main`.
 
-    The players of a stage start from the players of the stages before it. A budget of the whole league bounds every
-    stage. Raises ConfigError with the stage's key.
+    The players of a stage start from the players of the stages before it. Raises ConfigError with the stage's key.
     """
     own = config.stages[number]
     named = [f"{config.league}.{each.name}" for each in config.stages]
@@ -199,7 +198,7 @@ def stage(config: Config, number: int) -> Config:
     try:
         if arena is not None and arena != config.arena.name:
             base = replace(base, arena=default(arena).arena)
-        made = build(Config, own.settings, base)
+        made = build(Config, _bounded(own.settings, config), base)
         if made.learner.architecture != config.learner.architecture:
             raise ConfigError(
                 ("learner", "architecture"), "learner.architecture: must be the same in all stages, which share actors"
@@ -207,15 +206,23 @@ def stage(config: Config, number: int) -> Config:
     except ConfigError as error:
         key = (parts.KEY, str(number), *error.key)
         raise ConfigError(key, f"stage {own.name}: {error.message}") from None
-    least = [n for n in (made.budget.steps, config.budget.steps) if n is not None]
-    budget = replace(made.budget, steps=min(least, default=None))
-    if not last and not budget.ends:
+    if not last and not made.budget.ends:
         raise ConfigError(
             (parts.KEY, str(number), "budget"),
             f"stage {own.name}: nothing ends it; give it budget.steps, budget.training_time, budget.success,"
             " budget.score, budget.plateau or budget.reward",
         )
-    return replace(made, budget=budget)
+    return made
+
+
+def _bounded(settings: Mapping[str, Any], config: Config) -> Mapping[str, Any]:
+    """Return a stage's settings with at most as many steps and worlds as the league has, so that flags make it small."""
+    for section, key, limit in ("budget", "steps", config.budget.steps), ("training", "worlds", config.training.worlds):
+        own = settings.get(section)
+        number = own.get(key) if isinstance(own, Mapping) else None
+        if limit is not None and isinstance(number, int) and number > limit:
+            settings = flags.merged(settings, {section: {key: limit}})
+    return settings
 
 
 def default(arena: str = "sumo-2v2") -> Config:

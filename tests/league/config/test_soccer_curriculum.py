@@ -14,7 +14,10 @@ from storage.store import Store
 from tests.league.conftest import call
 
 PRESETS = {"soccer-1v1": presets.PRESETS["soccer-1v1"], "soccer-2v2": presets.PRESETS["soccer-2v2"]}
-STAGES = ("walk", "ball", "score-easy", "score", "score-leatherback-easy", "score-leatherback", "match")
+STAGES = (
+    "walk", "ball", "score-easy", "score", "score-leatherback-easy", "score-leatherback", "score-leatherback-far",
+    "match",
+)  # fmt: skip
 
 
 def players(config):
@@ -33,19 +36,20 @@ def test_stages_lead_from_the_first_step_to_the_matches(name):
     found = [configuration.stage(config, number) for number in range(len(STAGES))]
     assert tuple(each.league for each in found) == tuple(f"{name}.{stage}" for stage in STAGES)
     assert [each.arena.name for each in found] == [
-        "soccer-walk", "soccer-ball", *["soccer-score"] * 2, *["soccer-score-leatherback"] * 2, name
+        "soccer-walk", "soccer-ball", *["soccer-score"] * 2, *["soccer-score-leatherback"] * 3, name
     ]  # fmt: skip
-    assert [each.arena.rules.ease for each in found[2:-1]] == [1.0, 0.0, 1.0, 0.0]
-    assert [each.training.shaping_until for each in found] == [None, None, 0.9, 0.9, 0.9, 0.9, None]
+    assert [each.arena.rules.ease for each in found[2:-1]] == [1.0, 0.0, 1.0, 0.0, 0.0]
+    assert [each.training.shaping_until for each in found] == [None, None, *[0.9] * 5, None]
     units = [(each.arena.rules.drive_scale, each.arena.rules.steer_scale) for each in found[4:]]
-    assert units == [(40.0, 0.5)] * 3  # a policy means the same by its actions wherever it goes on
+    assert units == [(40.0, 0.5)] * 4  # a policy means the same by its actions wherever it goes on
+    assert [each.learner.gae_lambda for each in found] == [*[0.95] * 6, 1.0, 0.99]  # far once the rover scores
     plain = arenas.settings(name)
     assert found[-1].arena == replace(plain, rules=found[-1].arena.rules)
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_policy_goes_on_from_the_newest_stage_of_its_kind(name):
-    walk, ball, easy, score, easily, rovers, match = (
+    walk, ball, easy, score, easily, rovers, far, match = (
         players(configuration.stage(PRESETS[name](), number)) for number in range(len(STAGES))
     )
     assert warm_start.warm_starts(ball, [walk])["blue"].actors == (Source(f"{name}.walk", "blue", 0),)
@@ -58,9 +62,10 @@ def test_every_policy_goes_on_from_the_newest_stage_of_its_kind(name):
     assert warm_start.warm_starts(rovers, before[1:])["blue"].actors == (
         Source(f"{name}.score-leatherback-easy", "blue", 0),
     )
-    found, size = warm_start.warm_starts(match, before), len(match[0].roster.split("+"))
+    assert warm_start.warm_starts(far, before)["blue"].actors == (Source(f"{name}.score-leatherback", "blue", 0),)
+    found, size = warm_start.warm_starts(match, [far, *before]), len(match[0].roster.split("+"))
     assert found["blue"].actors == (Source(f"{name}.score", "blue", 0),) * size
-    assert found["red"].actors == (Source(f"{name}.score-leatherback", "blue", 0),) * size
+    assert found["red"].actors == (Source(f"{name}.score-leatherback-far", "blue", 0),) * size
 
 
 @pytest.mark.gpu  # minutes of two cores; test_curriculum_runs.py walks another curriculum
@@ -75,7 +80,7 @@ def test_soccer_is_walked_from_the_first_step_to_the_matches(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     for number, name in enumerate(STAGES, 1):
-        assert f"Stage {number} of 7, {name}" in done.stdout
+        assert f"Stage {number} of 8, {name}" in done.stdout
     assert "blue: actors go on from soccer-1v1.score's blue/0" in done.stdout
     with Store.open(tmp_path / "league-data") as store:
         assert {p.roster for p in store.players("soccer-1v1.match")} == {"anymal:66:12", "leatherback:24:2"}

@@ -73,6 +73,15 @@ def test_a_budget_of_the_whole_league_bounds_every_stage():
     assert configuration.stage(short, 0).budget.success == 0.9
 
 
+def test_worlds_of_the_whole_league_bound_every_stage():
+    config = presets.preset("soccer-1v1")
+    last_score = [each.name for each in config.stages].index("score-leatherback-far")
+    for league, stage in (None, 2048), (16, 16), (4096, 2048):
+        few = replace(config, training=replace(config.training, worlds=league))
+        assert configuration.stage(few, last_score).training.worlds == stage
+        assert configuration.stage(few, 0).training.worlds == league
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
