@@ -8,7 +8,7 @@ from pathlib import Path
 
 from league.commands.options import STORE, Where, parse, positional, spelt
 from league.config.schema import ConfigError
-from league.config.sections import check_name
+from league.config.sections import POLICY_FILE, check_name
 from league.snapshots import policy_file
 from league.snapshots.arena_transfer import describe_transfer, refitted
 from league.snapshots.exports import interface
@@ -40,6 +40,8 @@ def _named(value: str) -> None:
     if not value:
         raise ValueError("must be a name")
     check_name(value)
+    if value.endswith(POLICY_FILE):  # `after` takes that for a file's path
+        raise ValueError(f"a name does not end in {POLICY_FILE}, as a policy's file does")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -264,6 +264,7 @@ def test_bad_asks_get_one_line(file, tmp_path, capsys):
         (("import", *where), "league import needs FILE"),
         (("import", str(file), *where), "league import needs --as NAME"),
         (("import", str(file), "--as", "a b", *where), "a name is made of letters"),
+        (("import", str(file), "--as", "x.safetensors", *where), "a name does not end in .safetensors"),
         (("import", str(file), "--as", "blue", *where), "has a player or snapshot of that name"),
         (("import", str(file), "--as", "rocky", *where), "has a player or snapshot of that name"),
         (("import", str(file), "--as", "x", "--league", "hone", *where), "There is no league 'hone' here"),
