@@ -14,7 +14,7 @@ from storage.store import Store
 MET = {
     "anymal-walk": (None, 0.9), "anymal-push": ("idle", 0.75), "leatherback-push": ("idle", 0.85),
     "anymals-sumo": ("pusher:red", 0.7), "leatherbacks-sumo": ("trot:blue", 0.7),
-    "anymal-leatherback-sumo": ("idle", 0.7),
+    "anymal-leatherback-sumo": ("idle", 0.8),
     "anymal-score": (None, 0.08), "leatherback-score": (None, 0.4),
     "anymal-soccer": ("idle:red", 0.8), "leatherback-soccer": ("idle:blue", 0.7),
     "anymal-ball": (None, 0.9), "minitank-aim": (None, 0.9), "crazyflie-fly": (None, 0.9),
