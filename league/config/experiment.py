@@ -216,7 +216,7 @@ def stage(config: Config, number: int) -> Config:
 
 
 def _bounded(settings: Mapping[str, Any], config: Config) -> Mapping[str, Any]:
-    """Return a stage's settings with at most as many steps and worlds as the league has, so that flags make it small."""
+    """Return a stage's settings with at most the league's steps and worlds, which flags can thus make few."""
     for section, key, limit in ("budget", "steps", config.budget.steps), ("training", "worlds", config.training.worlds):
         own = settings.get(section)
         number = own.get(key) if isinstance(own, Mapping) else None
