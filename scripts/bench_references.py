@@ -1,12 +1,14 @@
 """The references of Robot League Bench: add policies to a task, play its references against each other, rate them.
 
     python -m scripts.bench_references t1-sumo-rovers-v1 --add blue@16.safetensors --name happo-middle --stage middle
+    python -m scripts.bench_references t3-soccer-1v1-v1 --add anymal-soccer --kind shipped --team blue --words "..."
     python -m scripts.bench_references t1-sumo-rovers-v1 --play 256   # plays pairs whose games are missing
     python -m scripts.bench_references t1-sumo-rovers-v1              # prints their ratings
 
 A change of a task's references changes their digest. Where references are only added, the manifest keeps the digest and
 the names of the former set if an entry in benchmarks/entries met it, so that the entry stays in the table with what it
-met. An entry has to be played again where a reference that it met has changed.
+met. An entry has to be played again where a reference that it met has changed. A shipped policy that is about to be
+replaced is first added as a learnt one, a file of the bench, if it is a reference.
 """
 
 import argparse
@@ -45,22 +47,36 @@ def write(manifest: dict[str, Any]) -> None:
 
 
 def add(task: Task, file: Path, name: str, kind: str, stage: str, team: str | None, words: str) -> Reference:
-    """Copy an exported policy into the package and list it; a former one of that name goes, with its games.
-
-    Raises StorageError for a file without a policy.
-    """
+    """Copy an exported policy into the package and list it. Raises StorageError for a file without a policy."""
     policy = policy_file.read(file)
     about, (stored, copies) = policy.about, of_one_agent(policy)
     copy = FOLDER / f"{task.name.rpartition('-')[0]}-{name.replace(':', '-')}.safetensors"
     copy.write_bytes(stored.to_bytes())
     settings = experiment.loads(about["settings"])
     entry = {
-        "name": name, "kind": kind, "file": copy.name, "sha256": hashlib.sha256(copy.read_bytes()).hexdigest(),
+        "name": name, "kind": kind, "file": copy.name, "sha256": sha256_of(copy),
         "stage": stage, "seed": settings.seed, "steps": about["steps"],
         "provenance": words or f"{about['name']} of league {about['league']}, {about['steps']:,} steps,"
         f" seed {settings.seed}",
     }  # fmt: skip
-    entry |= ({"team": team} if team else {}) | ({"copies": copies} if copies > 1 else {})
+    return enter(task, entry | ({"copies": copies} if copies > 1 else {}), team)
+
+
+def add_shipped(task: Task, name: str, team: str | None, words: str) -> Reference:
+    """List a policy that comes with the package. Raises UnknownName if there is none of that name."""
+    sha256 = sha256_of(policy_file.find(name))
+    entry = {"name": name, "kind": "shipped", "policy": name, "sha256": sha256, "provenance": words}
+    return enter(task, entry, team)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def enter(task: Task, entry: dict[str, Any], team: str | None) -> Reference:
+    """List a reference; a former one of that name goes, with its games."""
+    entry, name = entry | ({"team": team} if team else {}), entry["name"]
     manifest = listed()
     own = manifest["tasks"].setdefault(task.name, {"references": []})
     keep_former(own, name)
@@ -106,7 +122,7 @@ def _write_rows(task: Task, own: dict[str, Any], rows: Sequence[Row]) -> None:
     """Write the games of a task's references beside the manifest, and their digest into its list."""
     path = FOLDER / f"{task.name}.rows.json"
     path.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n", "utf-8")
-    own["rows"] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    own["rows"] = {"file": path.name, "sha256": sha256_of(path)}
 
 
 def play(task: Task, games: int) -> int:
@@ -136,16 +152,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Add a reference, play a task's references, or print their ratings."""
     asked = argparse.ArgumentParser(description="References of Robot League Bench.")
     asked.add_argument("task", choices=list(tasks.TASKS))
-    asked.add_argument("--add", type=Path, metavar="FILE", help="a policy that `league export` wrote")
+    asked.add_argument(
+        "--add", type=Path, metavar="FILE", help="a policy that `league export` wrote, or the name of a shipped one"
+    )
     asked.add_argument("--name", help="of the reference")
-    asked.add_argument("--kind", default="learnt", choices=["learnt", "exploiter"])
+    asked.add_argument("--kind", default="learnt", choices=["learnt", "exploiter", "shipped"])
     asked.add_argument("--stage", default="", choices=["", "early", "middle", "late"])
     asked.add_argument("--team", help="its side, where sides are unlike")
     asked.add_argument("--words", default="", help="its provenance (that of its file)")
     asked.add_argument("--play", type=int, metavar="GAMES", help="games of each pair that has none")
     options = asked.parse_args(argv)
     task = tasks.find(options.task)
-    if options.add:
+    if options.add and options.kind == "shipped":
+        print(add_shipped(task, str(options.add), options.team, options.words))
+    elif options.add:
         print(add(task, options.add, options.name, options.kind, options.stage, options.team, options.words))
     if options.play:
         print(f"{play(task, options.play)} rows")

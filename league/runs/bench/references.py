@@ -1,10 +1,10 @@
 """The public references of the tasks: scripts, policies that come with the package, and small policies of the bench.
 
 `references/manifest.json` has a list for each task. A reference has a `name`, a `kind` (script, shipped, learnt or
-exploiter), and in a task of unlike sides its `team`. A learnt one also has its `file`, the file's SHA-256, its `stage`
-(early, middle or late), the seed and steps of its training, and its `provenance` in words. Beside the list stands the
-file with the games of the references against each other, to which every rating is fitted, and `former`: the digest and
-the names of each smaller set that entries met before references were added.
+exploiter), and in a task of unlike sides its `team`. All but scripts have the SHA-256 of their file and their
+`provenance` in words, a learnt one also its `file`, its `stage` (early, middle or late), and the seed and steps of its
+training. Beside the list stands the file with the games of the references against each other, to which every rating is
+fitted, and `former`: the digest and the names of each smaller set that entries met before references were added.
 """
 
 import hashlib
@@ -38,7 +38,7 @@ class Reference:
     policy: str = ""  # of a shipped one, its name in the package
     copies: int = 1  # number of agents that act by its file's one
     file: str = ""  # of others that learnt
-    sha256: str = ""
+    sha256: str = ""  # of its file, or of the shipped policy's
     stage: str = ""
     seed: int | None = None
     steps: int | None = None
@@ -84,9 +84,9 @@ def met(task: Task, digest: str) -> ReferenceSet | None:
 @cache
 def _sets(task: str) -> tuple[ReferenceSet, ...]:
     """Return the references of a task and the smaller sets of former days."""
-    listed = json.loads(_read("manifest.json", ""))["tasks"].get(task, {"references": []})
+    listed = json.loads(_checked(FOLDER / "manifest.json", ""))["tasks"].get(task, {"references": []})
     found = tuple(Reference(**each) for each in listed["references"])
-    rows = json.loads(_read(listed["rows"]["file"], listed["rows"]["sha256"])) if "rows" in listed else []
+    rows = json.loads(_checked(FOLDER / listed["rows"]["file"], listed["rows"]["sha256"])) if "rows" in listed else []
     today = ReferenceSet(found, tuple(rows), digest(listed))
     return today, *(today.only(former["names"], former["digest"]) for former in listed.get("former", ()))
 
@@ -98,12 +98,14 @@ def digest(listed: Mapping[str, Any]) -> str:
 
 
 def bring_in(league: Open, task: Task, reference: Reference) -> None:
-    """Add a reference to a league of its task; scripts are there already. Raises StorageError for a damaged file."""
+    """Add a reference to a league of its task; scripts are there already.
+
+    Raises StorageError for a file that is damaged, or no longer the one that the other references met.
+    """
     if reference.kind == "script":
         return
     path = FOLDER / reference.file if reference.file else policy_file.find(reference.policy)
-    if reference.file:
-        _read(reference.file, reference.sha256)
+    _checked(path, reference.sha256)
     policy = copied(policy_file.read(path), task.sides[reference.team or task.teams[0]], reference.copies)
     policy_file.bring_in(league, policy, reference.name)
 
@@ -125,13 +127,19 @@ def counted(references: Sequence[Reference]) -> str:
     return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)) or "none"
 
 
-def _read(name: str, sha256: str) -> bytes:
+def _checked(path: Path, sha256: str) -> bytes:
+    """Return the bytes of a file, of this SHA-256 unless that is empty.
+
+    Raises StorageError if the file is missing or is another one.
+    """
     try:
-        data = (FOLDER / name).read_bytes()
+        data = path.read_bytes()
     except OSError as error:
         raise StorageError(
-            f"reference {name} of the bench is missing ({error.strerror}): reinstall robot-league."
+            f"reference {path.name} of the bench is missing ({error.strerror}): reinstall robot-league."
         ) from None
     if sha256 and hashlib.sha256(data).hexdigest() != sha256:
-        raise StorageError(f"reference {name} of the bench is not the one of its manifest: reinstall robot-league.")
+        raise StorageError(
+            f"reference {path.name} of the bench is not the one of its manifest: reinstall robot-league."
+        )
     return data

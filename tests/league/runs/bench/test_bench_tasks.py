@@ -1,5 +1,7 @@
 """The tasks are frozen: what the code builds today has their hashes and sides, and other code is refused."""
 
+import hashlib
+import json
 import re
 from dataclasses import replace
 
@@ -12,7 +14,7 @@ from league.runs.bench.games import bench_league
 from league.runs.bench.tasks import TASKS, find
 from league.snapshots import policy_file
 from league.snapshots.codec import thaw
-from scripts.bench_references import of_one_agent
+from scripts import bench_references
 from storage.errors import StorageError
 
 MOST = 11_000_000  # bytes that references add to the package
@@ -89,13 +91,38 @@ def test_a_reference_that_changed_is_noticed(tmp_path, monkeypatch):
         references.bring_in(None, task, learnt)  # type: ignore[arg-type]
 
 
+def test_a_shipped_reference_that_was_replaced_is_noticed(tmp_path, monkeypatch):
+    task = find("t3-soccer-1v1-v1")
+    shipped = next(each for each in references.of(task).references if each.kind == "shipped")
+    (tmp_path / f"{shipped.policy}.safetensors").write_bytes(b"another")
+    monkeypatch.setattr(policy_file, "TRAINED", tmp_path)
+    with pytest.raises(StorageError, match=f"reference {shipped.policy}.safetensors of the bench is not the one of"):
+        references.bring_in(None, task, shipped)  # type: ignore[arg-type]
+
+
+def test_a_shipped_policy_is_listed_with_its_digest_and_meets_all_again(tmp_path, monkeypatch):
+    task = find("t3-soccer-1v1-v1")
+    listed = json.loads((references.FOLDER / "manifest.json").read_text("utf-8"))
+    rows = json.loads((references.FOLDER / f"{task.name}.rows.json").read_text("utf-8"))
+    (tmp_path / f"{task.name}.rows.json").write_text(json.dumps(rows), "utf-8")
+    (tmp_path / "manifest.json").write_text(json.dumps(listed), "utf-8")
+    monkeypatch.setattr(bench_references, "FOLDER", tmp_path)
+    monkeypatch.setattr(bench_references, "MANIFEST", tmp_path / "manifest.json")
+    entered = bench_references.add_shipped(task, "leatherback-score", "red", "again")
+    assert (entered.kind, entered.policy, entered.team) == ("shipped", "leatherback-score", "red")
+    assert entered.sha256 == hashlib.sha256(policy_file.find("leatherback-score").read_bytes()).hexdigest()
+    left = json.loads((tmp_path / f"{task.name}.rows.json").read_text("utf-8"))
+    assert left == [row for row in rows if "leatherback-score" not in (row["a"], row["b"])]
+    assert len(left) < len(rows)
+
+
 def test_a_shared_actor_is_stored_once_and_unlike_actors_each():
     stored = policy_file.read(references.FOLDER / "t5-pursuit-happo-1-late-predators.safetensors")
     team = references.copied(stored, find("t5-pursuit-v1").sides["predators"], 3)
-    one, copies = of_one_agent(team)
+    one, copies = bench_references.of_one_agent(team)
     assert copies == 3
     assert one.about["roster"] == stored.about["roster"]
     assert one.arrays.keys() == stored.arrays.keys()
     assert all(np.array_equal(one.arrays[name], stored.arrays[name]) for name in one.arrays)
     unlike = policy_file.read(references.FOLDER / "t1-sumo-rovers-happo-101-late.safetensors")
-    assert of_one_agent(unlike) == (unlike, 1)
+    assert bench_references.of_one_agent(unlike) == (unlike, 1)
