@@ -20,7 +20,7 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.schema import ConfigError, Key, dotted, refuse
+from league.config.schema import UNSET, ConfigError, Key, dotted, refuse
 from league.config.sections import (
     Budget,
     Buffers,
@@ -220,7 +220,7 @@ def _bounded(settings: Mapping[str, Any], config: Config) -> Mapping[str, Any]:
     for section, key, limit in ("budget", "steps", config.budget.steps), ("training", "worlds", config.training.worlds):
         own = settings.get(section)
         number = own.get(key) if isinstance(own, Mapping) else None
-        if limit is not None and isinstance(number, int) and number > limit:
+        if limit is not None and (number == UNSET or (isinstance(number, int) and number > limit)):
             settings = flags.merged(settings, {section: {key: limit}})
     return settings
 

@@ -71,6 +71,8 @@ def test_a_budget_of_the_whole_league_bounds_every_stage():
     short = replace(config, budget=replace(config.budget, steps=3000))
     assert {configuration.stage(short, number).budget.steps for number in range(4)} == {3000}
     assert configuration.stage(short, 0).budget.success == 0.9
+    text = 'budget.steps = 3000\n[[stages]]\nname = "a"\nbudget.steps = "none"\nbudget.training_time = "1m"\n'
+    assert configuration.stage(configuration.loads(f'{text}[[stages]]\nname = "b"\n'), 0).budget.steps == 3000
 
 
 def test_worlds_of_the_whole_league_bound_every_stage():
