@@ -20,7 +20,7 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.schema import UNSET, ConfigError, Key, dotted, refuse
+from league.config.schema import ConfigError, Key, dotted, refuse
 from league.config.sections import (
     Budget,
     Buffers,
@@ -41,6 +41,7 @@ from storage.records import Player
 
 PRESET = "preset"
 """The key in a file that names a preset, whose settings the other keys of the file override."""
+WORLDS = ("training", "worlds")
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,8 @@ class Config:
 def stage(config: Config, number: int) -> Config:
     """Return the settings of one stage: a league of its own, `main.walk` for the stage `walk` of `main`.
 
-    The players of a stage start from the players of the stages before it. Raises ConfigError with the stage's key.
+    The players of a stage start from the players of the stages before it. A budget of the whole league bounds every
+    stage. Raises ConfigError with the stage's key.
     """
     own = config.stages[number]
     named = [f"{config.league}.{each.name}" for each in config.stages]
@@ -198,7 +200,7 @@ def stage(config: Config, number: int) -> Config:
     try:
         if arena is not None and arena != config.arena.name:
             base = replace(base, arena=default(arena).arena)
-        made = build(Config, _bounded(own.settings, config), base)
+        made = build(Config, own.settings, base)
         if made.learner.architecture != config.learner.architecture:
             raise ConfigError(
                 ("learner", "architecture"), "learner.architecture: must be the same in all stages, which share actors"
@@ -206,23 +208,15 @@ def stage(config: Config, number: int) -> Config:
     except ConfigError as error:
         key = (parts.KEY, str(number), *error.key)
         raise ConfigError(key, f"stage {own.name}: {error.message}") from None
-    if not last and not made.budget.ends:
+    least = [n for n in (made.budget.steps, config.budget.steps) if n is not None]
+    budget = replace(made.budget, steps=min(least, default=None))
+    if not last and not budget.ends:
         raise ConfigError(
             (parts.KEY, str(number), "budget"),
             f"stage {own.name}: nothing ends it; give it budget.steps, budget.training_time, budget.success,"
             " budget.score, budget.plateau or budget.reward",
         )
-    return made
-
-
-def _bounded(settings: Mapping[str, Any], config: Config) -> Mapping[str, Any]:
-    """Return a stage's settings with at most the league's steps and worlds, which flags can thus make few."""
-    for section, key, limit in ("budget", "steps", config.budget.steps), ("training", "worlds", config.training.worlds):
-        own = settings.get(section)
-        number = own.get(key) if isinstance(own, Mapping) else None
-        if limit is not None and (number == UNSET or (isinstance(number, int) and number > limit)):
-            settings = flags.merged(settings, {section: {key: limit}})
-    return settings
+    return replace(made, budget=budget)
 
 
 def default(arena: str = "sumo-2v2") -> Config:
@@ -309,6 +303,8 @@ def loads(
         config = build(Config, flags.merged(table, flags.values(given, Config, base)), base)
         _check_learner_flags(config, given)
         config = config if tables is None else replace(config, stages=parts.read(tables))
+        if flags.is_of(WORLDS, given) or _names(over or {}, WORLDS):
+            config = replace(config, stages=tuple(_bounded(each, config.training.worlds) for each in config.stages))
         for number in range(len(config.stages)):
             stage(config, number)  # raises if a stage is invalid
         return config
@@ -319,6 +315,15 @@ def loads(
         if not text or _names(over or {}, key):
             raise ConfigError(error.key, error.message) from None
         raise ConfigError(error.key, error.message, f"{toml.place(key, text, source)}: ") from None
+
+
+def _bounded(own: parts.Stage, worlds: int | None) -> parts.Stage:
+    """Return a stage with at most so many worlds. A flag, unlike the league's own table, has the last word."""
+    training = own.settings.get(WORLDS[0])
+    named = training.get(WORLDS[1]) if isinstance(training, Mapping) else None
+    if worlds is None or not isinstance(named, int) or named <= worlds:
+        return own
+    return replace(own, settings=flags.merged(own.settings, {WORLDS[0]: {WORLDS[1]: worlds}}))
 
 
 def _names(tables: Mapping[str, Any], key: Key) -> bool:

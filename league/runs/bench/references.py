@@ -98,16 +98,23 @@ def digest(listed: Mapping[str, Any]) -> str:
 
 
 def bring_in(league: Open, task: Task, reference: Reference) -> None:
-    """Add a reference to a league of its task; scripts are there already.
+    """Add a reference to a league of its task; scripts are there already. Raises StorageError as `checked_file`."""
+    if reference.kind == "script":
+        return
+    policy = copied(
+        policy_file.read(checked_file(reference)), task.sides[reference.team or task.teams[0]], reference.copies
+    )
+    policy_file.bring_in(league, policy, reference.name)
+
+
+def checked_file(reference: Reference) -> Path:
+    """Return the file of a reference that is no script.
 
     Raises StorageError for a file that is damaged, or no longer the one that the other references met.
     """
-    if reference.kind == "script":
-        return
     path = FOLDER / reference.file if reference.file else policy_file.find(reference.policy)
     _checked(path, reference.sha256)
-    policy = copied(policy_file.read(path), task.sides[reference.team or task.teams[0]], reference.copies)
-    policy_file.bring_in(league, policy, reference.name)
+    return path
 
 
 def copied(policy: Policy, roster: str, copies: int) -> Policy:

@@ -75,13 +75,18 @@ def test_a_budget_of_the_whole_league_bounds_every_stage():
     assert configuration.stage(configuration.loads(f'{text}[[stages]]\nname = "b"\n'), 0).budget.steps == 3000
 
 
-def test_worlds_of_the_whole_league_bound_every_stage():
-    config = presets.preset("soccer-1v1")
-    last_score = [each.name for each in config.stages].index("score-leatherback-far")
-    for league, stage in (None, 2048), (16, 16), (4096, 2048):
-        few = replace(config, training=replace(config.training, worlds=league))
-        assert configuration.stage(few, last_score).training.worlds == stage
-        assert configuration.stage(few, 0).training.worlds == league
+def test_worlds_given_as_a_flag_bound_every_stage_and_those_of_a_file_do_not():
+    text, flag = 'preset = "soccer-1v1"\n', {("training", "worlds"): "16"}
+    far = [each.name for each in presets.preset("soccer-1v1").stages].index("score-leatherback-far")
+    few, many, over = (
+        configuration.loads(text, given=flag), configuration.loads(text, given={("training", "worlds"): "4096"}),
+        configuration.loads(text, over={"training": {"worlds": 16}}),
+    )  # fmt: skip
+    in_file = configuration.loads(f"{text}training.worlds = 16\n")
+    for config, of_far, of_walk in (few, 16, 16), (over, 16, 16), (many, 2048, 4096), (in_file, 2048, 16):
+        assert configuration.stage(config, far).training.worlds == of_far
+        assert configuration.stage(config, 0).training.worlds == of_walk
+    assert configuration.loads(configuration.dumps(few)) == few
 
 
 @pytest.mark.parametrize(

@@ -82,22 +82,19 @@ def test_reference_files_are_those_of_the_manifest_and_small():
     assert sum(there.values()) < MOST
 
 
-def test_a_reference_that_changed_is_noticed(tmp_path, monkeypatch):
-    task = find("t1-sumo-rovers-v1")
-    learnt = next(each for each in references.of(task).references if each.file)
-    (tmp_path / learnt.file).write_bytes(b"another")
+@pytest.mark.parametrize("kind", ["learnt", "shipped"])
+def test_a_reference_that_changed_is_noticed(kind, tmp_path, monkeypatch):
+    own = next(each for each in references.of(find("t3-soccer-1v1-v1")).references if each.kind == kind)
+    (tmp_path / references.checked_file(own).name).write_bytes(b"another")
     monkeypatch.setattr(references, "FOLDER", tmp_path)
-    with pytest.raises(StorageError, match="not the one of its manifest: reinstall"):
-        references.bring_in(None, task, learnt)  # type: ignore[arg-type]
-
-
-def test_a_shipped_reference_that_was_replaced_is_noticed(tmp_path, monkeypatch):
-    task = find("t3-soccer-1v1-v1")
-    shipped = next(each for each in references.of(task).references if each.kind == "shipped")
-    (tmp_path / f"{shipped.policy}.safetensors").write_bytes(b"another")
     monkeypatch.setattr(policy_file, "TRAINED", tmp_path)
-    with pytest.raises(StorageError, match=f"reference {shipped.policy}.safetensors of the bench is not the one of"):
-        references.bring_in(None, task, shipped)  # type: ignore[arg-type]
+    with pytest.raises(StorageError, match="not the one of its manifest: reinstall"):
+        references.checked_file(own)
+
+
+def test_every_reference_that_is_no_script_is_frozen_by_its_digest():
+    all_ = [each for task in TASKS.values() for each in references.of(task).references]
+    assert {each.kind for each in all_ if not each.sha256} == {"script"}
 
 
 def test_a_shipped_policy_is_listed_with_its_digest_and_meets_all_again(tmp_path, monkeypatch):
