@@ -25,11 +25,8 @@ after each row, with median and worst of its seeds.
 
 import argparse
 import json
-import signal
 import statistics
-import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -40,6 +37,7 @@ from league.system.environment import prepare
 prepare()  # before jax reads the environment
 
 from experiments.episodes import rate, score
+from experiments.trials import run_within, stage_times
 from league.config import experiment as configuration
 from league.state.league_state import LeagueState
 from scripts.record import make_parser, run_info, split_arguments, write
@@ -111,16 +109,7 @@ def measured(args: argparse.Namespace, name: str, seed: int) -> dict:
         "--budget.rating_time", "0s", *args.flags,
     ]  # fmt: skip
     where.mkdir(parents=True, exist_ok=True)
-    began = time.time()
-    with (where / "out.txt").open("w") as out:
-        process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
-        while process.poll() is None and time.time() - began < args.within and not shown(where, row):
-            time.sleep(1.0)
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            process.wait()
-    if process.returncode not in (0, 130):
-        sys.exit(f"the league failed:\n{(where / 'out.txt').read_text()}")
+    began = run_within(command, where / "out.txt", args.within, lambda: shown(where, row))
     curve = played(args, where, row)
     at = {player: reached(curve[player], bar, began) for player, bar in row.bars.items()}
     known = [each for each in at.values() if each is not None]
@@ -139,26 +128,6 @@ def last_league(store: Store) -> str | None:
     stages = configuration.loads(store.league(whole).config).stages if whole else ()
     last = f"{whole}.{stages[-1].name}" if stages else whole
     return last if last in names else None
-
-
-def stage_times(where: Path, began: float) -> dict[str, dict[str, float | None]]:
-    """Return by stage when it `began`, when its `first_step` was learnt and when it `ended`, in seconds from `began`.
-
-    None for what has not happened; without entries for stages that have not begun and for a league without stages.
-    """
-    found = {}
-    with Store.open(where) as store:
-        leagues = {league.name: league for league in store.leagues()}
-        whole = min(leagues, key=len, default="")
-        for stage in configuration.loads(leagues[whole].config).stages if leagues else ():
-            if (name := f"{whole}.{stage.name}") not in leagues:
-                continue
-            state = LeagueState.of(store, name)
-            learnt = [s.created - s.seconds for s in state.snapshots if s.player and s.iteration > 0]
-            last = max([state.played, *(c.created for c in state.checkpoints.values())])
-            times = {"began": leagues[name].created, "first_step": min(learnt, default=0.0), "ended": last}
-            found[stage.name] = {what: round(at - began, 1) if at else None for what, at in times.items()}
-    return found
 
 
 def shown(where: Path, row: Row) -> bool:

@@ -7,7 +7,8 @@ OUT has a folder for each seed, see `experiments/policy_files.py`; arguments aft
 arena, as flags of `league run`. On the C engine, on a host with a GPU best with JAX_PLATFORMS=cpu, these pairs play
 `--episodes` games each:
 
-- of each seed, each side's newest policy against the other side's initial one, and initial against initial;
+- of each seed, each side's newest policy against the other side's initial one, and initial against initial, where OUT
+  has initial ones;
 - the newest policy of the first side of each seed against the newest of the second side of every seed: on the diagonal
   of that table both learnt together, off it they never met.
 
@@ -50,7 +51,7 @@ TIME = "time"
 
 
 def pairs_of(seeds: Sequence[str], sides: Sequence[str], initial: bool = False) -> Iterator[tuple[str, str]]:
-    """Yield the pairs that play, those with an initial policy first; with `initial` alone of initial policies."""
+    """Yield the pairs that could play, with an initial policy first; with `initial` alone of initial policies."""
     first, second = sides
     for seed in seeds:
         yield f"{seed}:{first}{INITIAL}", f"{seed}:{second}{INITIAL}"
@@ -131,7 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     matches: list[Match] = []
     with file_league(config, args.folder, args.seeds, sides, args.worlds) as league:
         result |= {"rules": league.arena.config_hash, "policies": league.policies(), "pairs": []}
-        for a, b in pairs_of(args.seeds, sides, args.initial):
+        known = [pair for pair in pairs_of(args.seeds, sides, args.initial) if league.snapshots.keys() >= {*pair}]
+        for a, b in known:
             began = time.monotonic()
             rows, row = play(league, a, b, args.episodes // args.worlds)
             matches += rows

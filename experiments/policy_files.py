@@ -1,7 +1,8 @@
 """Matches on the C engine between policies in files of several seeds, in a league that is removed afterwards.
 
 A folder OUT has a folder for each seed, in which `PLAYER.safetensors` is the newest policy of a player, and
-`PLAYER-0.safetensors` the initial one, as `league export` writes them. A player has the name of its team.
+`PLAYER-0.safetensors`, where it is there, the initial one, as `league export` writes them and `experiments/trials.py`
+leaves them. A player has the name of its team.
 """
 
 import argparse
@@ -84,8 +85,10 @@ def file_league(
         opened, snapshots = Open(store, config.league), {}
         for seed in seeds:
             for name in (f"{side}{which}" for side in sides for which in ("", INITIAL)):
-                policy = policy_file.read(folder / seed / f"{name}{SUFFIX}")
-                snapshots[f"{seed}:{name}"] = policy_file.bring_in(opened, policy, f"{seed}:{name}")
+                file = folder / seed / f"{name}{SUFFIX}"
+                if file.exists() or not name.endswith(INITIAL):
+                    policy = policy_file.read(file)
+                    snapshots[f"{seed}:{name}"] = policy_file.bring_in(opened, policy, f"{seed}:{name}")
         evaluator = MatchEvaluator(config, arena, config.league, tuple(range(worlds)))
         evaluator.make_room(store, list(snapshots.values()))
         yield FileLeague(store, arena, evaluator, snapshots)
@@ -119,7 +122,7 @@ def between_seeds(matches: Sequence[Match], seeds: Sequence[str], sides: Sequenc
 def parser_of_pairs(description: str | None) -> argparse.ArgumentParser:
     """Return a parser with the arguments of scripts that play pairs of policies in files."""
     parser = make_parser(description)
-    parser.add_argument("folder", type=Path, help="OUT, with a folder of four files for each seed")
+    parser.add_argument("folder", type=Path, help="OUT, with a folder of policies for each seed")
     parser.add_argument("--seeds", nargs="+", help="names of those folders (default: all)")
     parser.add_argument("--episodes", type=int, default=256, help="games of each pair, a multiple of --worlds")
     parser.add_argument("--worlds", type=int, default=128, help="games at once, an even number")

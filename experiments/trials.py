@@ -1,0 +1,191 @@
+"""Trainings of presets or configuration files for a given time, and what they leave: policy files and learning curves.
+
+    python -m experiments.trials soccer-1v1 --seeds 1 2 --within 1420 --store runs/trials --folder runs/out
+    python -m experiments.trials mine.toml --within 300 --store runs/trials --folder runs/out -- --training.worlds 512
+
+Each run is `league run` as typed, with a store of its own, `STORE/NAME-SEED`, until it ends or `--within` seconds are
+over; NAME is that of the preset, or of the file without its ending. The same command goes on with leagues that were
+stopped. A run leaves in FOLDER, once it has stopped:
+
+- `LEAGUE/SEED/PLAYER.safetensors` and `PLAYER-0.safetensors`, the newest and the first policy of every player; of a
+  curriculum every stage is a league, `NAME.STAGE`. `experiments/cross_play.py FOLDER/LEAGUE` plays them;
+- `NAME-SEED.json` with the command, commit and machine, the seconds at which each stage began, learnt and ended, and of
+  each league the ratings of its own matches against the first opponents (of a team alone, its successes), with 95 %
+  intervals, and its learning curves as means over at most `PARTS` parts of its iterations.
+"""
+
+import argparse
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from league.system.environment import prepare
+
+prepare()  # before jax reads the environment
+
+import numpy as np
+
+from league.commands.cli import guarded
+from league.config import experiment
+from league.config.presets import PRESETS
+from league.queries.query import Open
+from league.scheduling.progress_metrics import score_against_initial
+from league.snapshots import policy_file
+from league.state.league_state import LeagueState
+from scripts.record import make_parser, run_info, split_arguments, write
+from storage.records import CurvePoint
+from storage.store import Store
+
+PARTS = 60
+VALUES = ("score", "reward", "kl", "entropy", "explained_variance")
+"""Figures of a learning curve that a result has."""
+
+
+def run_within(command: Sequence[str], log: Path, seconds: float, done: Callable[[], bool] = lambda: False) -> float:
+    """Run a league until it ends, `done` says so or `seconds` are over, and return when it began (epoch seconds).
+
+    Its output is added to `log`. Exits with it if the league fails.
+    """
+    began = time.time()
+    with log.open("a") as out:
+        process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
+        while process.poll() is None and time.time() - began < seconds and not done():
+            time.sleep(1.0)
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+    if process.returncode not in (0, 130):
+        sys.exit(f"the league failed:\n{log.read_text()}")
+    return began
+
+
+def stage_times(where: Path, began: float) -> dict[str, dict[str, float | None]]:
+    """Return by stage when it `began`, when its `first_step` was learnt and when it `ended`, in seconds from `began`.
+
+    None for what has not happened; without entries for stages that have not begun and for a league without stages.
+    """
+    found = {}
+    with Store.open(where) as store:
+        leagues = {league.name: league for league in store.leagues()}
+        whole = min(leagues, key=len, default="")
+        for stage in experiment.loads(leagues[whole].config).stages if leagues else ():
+            if (name := f"{whole}.{stage.name}") not in leagues:
+                continue
+            state = LeagueState.of(store, name)
+            learnt = [s.created - s.seconds for s in state.snapshots if s.player and s.iteration > 0]
+            last = max([state.played, *(c.created for c in state.checkpoints.values())])
+            times = {"began": leagues[name].created, "first_step": min(learnt, default=0.0), "ended": last}
+            found[stage.name] = {what: round(at - began, 1) if at else None for what, at in times.items()}
+    return found
+
+
+def curve(points: Sequence[CurvePoint]) -> Iterator[dict[str, float]]:
+    """Yield the means of a learning curve over at most PARTS parts, each with the steps and seconds at its end."""
+    for part in np.array_split(np.arange(len(points)), min(PARTS, len(points)) or 1):
+        if not len(part):
+            return
+        end, means = points[part[-1]], {}
+        for name in VALUES:
+            if values := [points[k].values[name] for k in part if name in points[k].values]:
+                means[name] = round(float(np.mean(values)), 4)
+        yield {"iteration": end.iteration, "steps": end.step, "seconds": round(end.seconds, 1), **means}
+
+
+def rated(state: LeagueState, player: str) -> Iterator[dict[str, Any]]:
+    """Yield the snapshots of a player that its league has rated, oldest first, with their scores."""
+    ladder = state.ladder
+    for snapshot in state.history(player):
+        if snapshot.name not in ladder.payoff.names:
+            continue
+        alone = ladder.success(snapshot.name) if state.one_team else None
+        found = alone or score_against_initial(ladder, snapshot, state.snapshots, state.players)
+        if found and found.games:
+            told = {"score": round(found.score, 4), "low": round(found.low, 4), "high": round(found.high, 4)}
+            about = {"snapshot": snapshot.name, "steps": snapshot.step, "seconds": round(snapshot.seconds, 1)}
+            yield {**about, **told, "n": found.games}
+
+
+def export(store: Store, name: str, folder: Path) -> dict[str, Any]:
+    """Write the newest and the first policy of every player of a league into a folder; return what JSON has of it."""
+    opened, state, found = Open(store, name), LeagueState.of(store, name), {}
+    for player in state.players:
+        history = state.history(player.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        for ending, snapshot in (("", history[-1]), ("-0", history[0])):
+            data = policy_file.export(opened, snapshot.name, []).to_bytes()
+            (folder / f"{player.name}{ending}.safetensors").write_bytes(data)
+        found[player.name] = {
+            "newest": history[-1].name, "steps": history[-1].step, "sha256": history[-1].digest,
+            "rated": list(rated(state, player.name)), "curve": list(curve(store.curves(name, player.name))),
+        }  # fmt: skip
+    return found
+
+
+def trial(args: argparse.Namespace, run: str, seed: int) -> None:
+    """Train one run from one seed, and write what it leaves."""
+    file = Path(run)
+    name, start = (file.stem, [run]) if run not in PRESETS else (run, ["--preset", run])
+    where = args.store / f"{name}-{seed}"
+    where.mkdir(parents=True, exist_ok=True)
+    command = [
+        sys.executable, "-m", "league", "run", *start, "--store", str(where), "--league", name, "--seed", str(seed),
+        "--budget.rating_time", "0s", *args.flags,
+    ]  # fmt: skip
+    before = time.time()
+    began = run_within(command, args.store / f"{name}-{seed}.txt", args.within)
+    took, leagues = time.time() - before, {}
+    with Store.open(where) as store:
+        for each in store.leagues():
+            if store.players(each.name):
+                leagues[each.name] = export(store, each.name, args.folder / each.name / str(seed))
+    result = {
+        "run": " ".join(command[2:]).replace(str(where), "STORE"), "seed": seed, "took": round(took, 1),
+        "stages": stage_times(where, began), "leagues": leagues, **run_info(args.commit),
+    }  # fmt: skip
+    write(result, args.folder / f"{name}-{seed}.json")
+    print(f"{name}, seed {seed}: {took:.0f} s; {told(leagues)}", flush=True)
+
+
+def told(leagues: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the newest rated snapshot of each player of the newest league as a line."""
+    if not leagues:
+        return "no league has begun"
+    name, players = list(leagues.items())[-1]
+    parts = []
+    for player, found in players.items():
+        last = found["rated"][-1:] or [{"snapshot": player, "score": float("nan"), "n": 0}]
+        parts.append(f"{last[0]['snapshot']} {last[0]['score']:.1%} of {last[0]['n']}")
+    return f"{name}: {', '.join(parts)}"
+
+
+def parsed(argv: Sequence[str]) -> argparse.Namespace:
+    """Return the arguments. Exits with code 2 for what cannot be."""
+    parser = make_parser(__doc__)
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="a preset, or a file of settings (.toml)")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED")
+    parser.add_argument("--within", type=float, default=540.0, help="seconds of a run at most, from its command")
+    parser.add_argument("--store", type=Path, required=True, help="the folder for the leagues' stores")
+    parser.add_argument("--folder", type=Path, required=True, help="the folder for policies and curves")
+    own, further = split_arguments(list(argv))
+    args = parser.parse_args(own, argparse.Namespace(flags=further))
+    for run in args.runs:
+        if run not in PRESETS and not Path(run).is_file():
+            parser.error(f"{run} is neither a preset nor a file; presets: {', '.join(sorted(PRESETS))}")
+    return args
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train every run from every seed, one after the other."""
+    args = parsed(sys.argv[1:] if argv is None else argv)
+    for run in args.runs:
+        for seed in args.seeds:
+            trial(args, run, seed)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
