@@ -10,14 +10,15 @@ newest policy of each side's main player, and `result.json`, with the decisions 
 skipped, and leagues that were stopped or killed go on when the same command is given again. With `--enter FOLDER`
 nothing is trained: `league bench` measures what `--out` has, an entry for each task and method, into that folder.
 
-Methods differ by opponents alone, but for the last two:
+Methods differ by opponents alone, but for the last three:
 
 - `latest`, `uniform`, `pfsp`: HAPPO against the newest opponents, a uniform history, prioritised fictitious self-play;
 - `alphastar`: a main player, a main exploiter and a league exploiter for each side, as in the preset `alphastar`; each
   has `--steps` decisions, so that the population has three times as many;
 - `psro`: the Nash mixture of the payoff table, for which training waits. Players continue instead of starting afresh,
   and the entry is the newest policy, not the mixture. In exact tasks the table counts chips instead of hands won;
-- `mappo`: the newest opponents; equal robots of a team share one actor, and all learn from the same advantage;
+- `shared`: HAPPO against the newest opponents; equal robots of a team share one actor;
+- `mappo`: the same, and all robots of a team learn from the same advantage;
 - `magnet`: the newest opponents and a magnet, that of the preset where it has one.
 """
 
@@ -65,6 +66,7 @@ METHODS: Mapping[str, Opponents] = {
     "pfsp": Opponents("pfsp"),
     "alphastar": Opponents("alphastar"),
     "psro": Opponents("nash", await_matches=True),
+    "shared": Opponents("latest"),
     "mappo": Opponents("latest"),
     "magnet": Opponents("latest"),
 }
@@ -74,7 +76,8 @@ ABOUT: Mapping[str, str] = {
     "pfsp": "HAPPO by prioritised fictitious self-play",
     "alphastar": "AlphaStar's league, its main players",
     "psro": "PSRO whose players continue, their newest policies",
-    "mappo": "MAPPO against the newest opponents",
+    "shared": "HAPPO against the newest opponents, one actor for equal robots",
+    "mappo": "MAPPO against the newest opponents, one actor for equal robots",
     "magnet": "HAPPO against the newest opponents with a magnet",
 }
 MAGNET = 0.05
@@ -148,8 +151,8 @@ def config_of(task: Task, method: str, seed: int, args: argparse.Namespace) -> C
         learner = replace(learner, magnet_coef=learner.magnet_coef or MAGNET)
     else:
         learner = replace(learner, magnet_coef=0.0, magnet_updates=0)
-    if method == "mappo":
-        learner = replace(learner, method="mappo", share_actors=True)
+    if method in ("shared", "mappo"):
+        learner = replace(learner, method="mappo" if method == "mappo" else learner.method, share_actors=True)
     iterations = ceil(each / (TURNS * args.worlds * base.training.rollout_length))
     training = replace(
         base.training, worlds=args.worlds, opponents=METHODS[method], record_every=0,
@@ -300,7 +303,7 @@ def parsed(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
     parser.set_defaults(out=Path("runs/entries"))
     parser.add_argument("--tasks", nargs="+", default=["t5-pursuit-v1"], choices=list(STARTS), metavar="TASK")
-    parser.add_argument("--methods", nargs="+", default=list(METHODS)[:6], choices=list(METHODS), metavar="METHOD")
+    parser.add_argument("--methods", nargs="+", default=list(METHODS)[:-1], choices=list(METHODS), metavar="METHOD")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3], metavar="SEED")
     parser.add_argument("--steps", type=int, default=50_000_000, help="decisions of each player")
     parser.add_argument("--worlds", type=int, default=256, help="worlds of each league")
