@@ -15,12 +15,16 @@ stopped. A run leaves in FOLDER, once it has stopped:
 """
 
 import argparse
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from league.system.environment import prepare
@@ -33,6 +37,7 @@ from league.commands.cli import guarded
 from league.config import experiment
 from league.config.presets import PRESETS
 from league.queries.query import Open
+from league.runs.sweeps.sweep_work import device_of
 from league.scheduling.progress_metrics import score_against_initial
 from league.snapshots import policy_file
 from league.state.league_state import LeagueState
@@ -45,14 +50,19 @@ VALUES = ("score", "reward", "kl", "entropy", "explained_variance")
 """Figures of a learning curve that a result has."""
 
 
-def run_within(command: Sequence[str], log: Path, seconds: float, done: Callable[[], bool] = lambda: False) -> float:
+def run_within(
+    command: Sequence[str], log: Path, seconds: float, done: Callable[[], bool] = lambda: False,
+    variables: Mapping[str, str] | None = None,
+) -> float:  # fmt: skip
     """Run a league until it ends, `done` says so or `seconds` are over, and return when it began (epoch seconds).
 
-    Its output is added to `log`. Exits with it if the league fails.
+    Its output is added to `log`; `variables` are of its environment, beside this process's own. Exits with the output
+    if the league fails.
     """
     began = time.time()
     with log.open("a") as out:
-        process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
+        environment = {**os.environ, **(variables or {})}
+        process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, env=environment)
         while process.poll() is None and time.time() - began < seconds and not done():
             time.sleep(1.0)
         if process.poll() is None:
@@ -125,8 +135,8 @@ def export(store: Store, name: str, folder: Path) -> dict[str, Any]:
     return found
 
 
-def trial(args: argparse.Namespace, run: str, seed: int) -> None:
-    """Train one run from one seed, and write what it leaves."""
+def trial(args: argparse.Namespace, run: str, seed: int, variables: Mapping[str, str]) -> tuple[Path, dict[str, Any]]:
+    """Train one run from one seed; write what it leaves, and return its JSON with the path."""
     file = Path(run)
     name, start = (file.stem, [run]) if run not in PRESETS else (run, ["--preset", run])
     where = args.store / f"{name}-{seed}"
@@ -135,19 +145,20 @@ def trial(args: argparse.Namespace, run: str, seed: int) -> None:
         sys.executable, "-m", "league", "run", *start, "--store", str(where), "--league", name, "--seed", str(seed),
         "--budget.rating_time", "0s", *args.flags,
     ]  # fmt: skip
-    before = time.time()
-    began = run_within(command, args.store / f"{name}-{seed}.txt", args.within)
-    took, leagues = time.time() - before, {}
+    began = run_within(command, args.store / f"{name}-{seed}.txt", args.within, variables=variables)
+    took, leagues = time.time() - began, {}
     with Store.open(where) as store:
         for each in store.leagues():
             if store.players(each.name):
                 leagues[each.name] = export(store, each.name, args.folder / each.name / str(seed))
     result = {
         "run": " ".join(command[2:]).replace(str(where), "STORE"), "seed": seed, "took": round(took, 1),
-        "stages": stage_times(where, began), "leagues": leagues, **run_info(args.commit),
+        "stages": stage_times(where, began), "leagues": leagues,
     }  # fmt: skip
-    write(result, args.folder / f"{name}-{seed}.json")
     print(f"{name}, seed {seed}: {took:.0f} s; {told(leagues)}", flush=True)
+    path = args.folder / f"{name}-{seed}.json"
+    write(result, path)
+    return path, result
 
 
 def told(leagues: Mapping[str, Mapping[str, Any]]) -> str:
@@ -168,6 +179,7 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("runs", nargs="+", metavar="RUN", help="a preset, or a file of settings (.toml)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED")
     parser.add_argument("--within", type=float, default=540.0, help="seconds of a run at most, from its command")
+    parser.add_argument("--jobs", type=int, default=1, help="runs at once; several GPUs are shared out")
     parser.add_argument("--store", type=Path, required=True, help="the folder for the leagues' stores")
     parser.add_argument("--folder", type=Path, required=True, help="the folder for policies and curves")
     own, further = split_arguments(list(argv))
@@ -175,15 +187,30 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     for run in args.runs:
         if run not in PRESETS and not Path(run).is_file():
             parser.error(f"{run} is neither a preset nor a file; presets: {', '.join(sorted(PRESETS))}")
+    if args.jobs < 1:
+        parser.error(f"--jobs is {args.jobs}: give 1 or more")
     return args
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train every run from every seed, one after the other."""
+    """Train every run from every seed, `--jobs` at once."""
     args = parsed(sys.argv[1:] if argv is None else argv)
-    for run in args.runs:
-        for seed in args.seeds:
-            trial(args, run, seed)
+    free = SimpleQueue[int]()
+    for slot in range(args.jobs):
+        free.put(slot)
+
+    def train(job: tuple[str, int]) -> tuple[Path, dict[str, Any]]:
+        slot = free.get()
+        try:
+            return trial(args, *job, device_of(slot, args.jobs))
+        finally:
+            free.put(slot)
+
+    with ThreadPoolExecutor(args.jobs) as pool:
+        results = list(pool.map(train, product(args.runs, args.seeds)))
+    about = run_info(args.commit)  # only now, since it takes a GPU's memory
+    for path, result in results:
+        write({**result, **about}, path)
     return 0
 
 

@@ -87,7 +87,7 @@ class SweepWork:
             self._failed(run, f"it was begun with another {what}: give the sweep another name, or remove the league")
             return
         slot = next(n for n in range(self._parallel) if n not in self._running)
-        child = ChildRun(self._where, run.config, environment=_device(slot, self._parallel))
+        child = ChildRun(self._where, run.config, environment=device_of(slot, self._parallel))
         self._running[slot] = run, child, time.monotonic()
         self._report(f"{run.name} {'goes on' if state == 'begun' else 'begins'}")
 
@@ -129,7 +129,7 @@ class SweepWork:
         self._report(f"{run.name} {'is run by another process' if led else f'failed: {why}'}")
 
 
-def _device(slot: int, parallel: int) -> Mapping[str, str]:
+def device_of(slot: int, parallel: int) -> Mapping[str, str]:
     """Return the variables that give a run a GPU of its own, where there are several runs and several GPUs."""
     found = devices.gpus()
     if parallel == 1 or len(found) < 2:
