@@ -117,7 +117,7 @@ STARTS: Mapping[str, Start] = {
     "t0-kuhn-poker-v1": Start("kuhn-poker"),
     "t0-leduc-poker-v1": Start("leduc-poker"),
     "t0-dark-hex-3-v1": Start("leduc-poker"),  # dark hex has no preset of its own
-    "t1-sumo-rovers-v1": Start("quickstart"),
+    "t1-sumo-rovers-v1": Start("quickstart", {"share_actors": False}),  # by the methods `shared` and `mappo` alone
     "t2-sumo-unlike-v1": Start("sumo-by-team", after=("anymals-sumo", "leatherbacks-sumo"), matches=True),
     "t3-soccer-1v1-v1": Start("soccer-1v1", SCORING, ("anymal-score", "leatherback-score")),
     "t4-galaga-1v1-v1": Start("galaga-1v1", after=("minitank-galaga", "crazyflie-galaga")),

@@ -11,9 +11,13 @@ from matchmaking.schedule import Schedule
 
 
 def quickstart() -> Config:
-    """2v2 rovers that learn to push each other out of a shrinking ring: three minutes on two cores, then ratings."""
+    """2v2 rovers that learn to push each other out of a shrinking ring: three minutes on two cores, then ratings.
+
+    Both robots of a team share an actor, by which they are stronger after as many decisions (docs/bench.md, T1).
+    """
     config = default()
-    return replace(config, league="quickstart", budget=Budget(training_time="3m", rating_time="1m"))
+    learner = replace(config.learner, share_actors=True)
+    return replace(config, league="quickstart", learner=learner, budget=Budget(training_time="3m", rating_time="1m"))
 
 
 def duel() -> Config:
@@ -23,13 +27,11 @@ def duel() -> Config:
 
 
 def rovers() -> Config:
-    """2v2 rovers as in the quick start, with a larger network for both of a team and a longer horizon, until stopped;
-    for a GPU.
-    """
-    config = default("sumo-2v2")
-    learner = replace(config.learner, architecture=Architecture((128, 128)), share_actors=True, gamma=0.99)
+    """2v2 rovers as in the quick start, with a larger network and a longer horizon, until stopped; for a GPU."""
+    config = quickstart()
+    learner = replace(config.learner, architecture=Architecture((128, 128)), gamma=0.99)
     training = replace(config.training, snapshots_per_doubling=4)
-    return replace(config, league="rovers", learner=learner, training=training)
+    return replace(config, league="rovers", learner=learner, training=training, budget=Budget())
 
 
 def selfplay() -> Config:
