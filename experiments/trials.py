@@ -1,17 +1,17 @@
 """Trainings of presets or configuration files for a given time, and what they leave: policy files and learning curves.
 
-    python -m experiments.trials soccer-1v1 --seeds 1 2 --within 1420 --store runs/trials --folder runs/out
-    python -m experiments.trials mine.toml --within 300 --store runs/trials --folder runs/out -- --training.worlds 512
+    python -m experiments.trials soccer-1v1 --seeds 1 2 --within 1420 --store runs/trials --out runs/out
+    python -m experiments.trials mine.toml --within 300 --store runs/trials --out runs/out -- --training.worlds 512
 
 Each run is `league run` as typed, with a store of its own, `STORE/NAME-SEED`, until it ends or `--within` seconds are
 over; NAME is that of the preset, or of the file without its ending. The same command goes on with leagues that were
-stopped. A run leaves in FOLDER, once it has stopped:
+stopped. A run leaves in OUT, once it has stopped:
 
 - `LEAGUE/SEED/PLAYER.safetensors` and `PLAYER-0.safetensors`, the newest and the first policy of every player; of a
-  curriculum every stage is a league, `NAME.STAGE`. `experiments/cross_play.py FOLDER/LEAGUE` plays them;
-- `NAME-SEED.json` with the command, commit and machine, the seconds at which each stage began, learnt and ended, and of
-  each league the ratings of its own matches against the first opponents (of a team alone, its successes), with 95 %
-  intervals, and its learning curves as means over at most `PARTS` parts of its iterations.
+  curriculum every stage is a league, `NAME.STAGE`. `experiments/cross_play.py OUT/LEAGUE` plays them;
+- `NAME-SEED.json` with the command, commit and machine, and the seconds at which each stage began, learnt and ended
+  (below 0 for those of an earlier command); of each league the ratings of its own matches against the first opponents
+  (of a team alone its successes) with 95 % intervals, and learning curves, the means of at most `PARTS` parts.
 """
 
 import argparse
@@ -150,13 +150,13 @@ def trial(args: argparse.Namespace, run: str, seed: int, variables: Mapping[str,
     with Store.open(where) as store:
         for each in store.leagues():
             if store.players(each.name):
-                leagues[each.name] = export(store, each.name, args.folder / each.name / str(seed))
+                leagues[each.name] = export(store, each.name, args.out / each.name / str(seed))
     result = {
         "run": " ".join(command[2:]).replace(str(where), "STORE"), "seed": seed, "took": round(took, 1),
         "stages": stage_times(where, began), "leagues": leagues,
     }  # fmt: skip
     print(f"{name}, seed {seed}: {took:.0f} s; {told(leagues)}", flush=True)
-    path = args.folder / f"{name}-{seed}.json"
+    path = args.out / f"{name}-{seed}.json"
     write(result, path)
     return path, result
 
@@ -166,22 +166,20 @@ def told(leagues: Mapping[str, Mapping[str, Any]]) -> str:
     if not leagues:
         return "no league has begun"
     name, players = list(leagues.items())[-1]
-    parts = []
-    for player, found in players.items():
-        last = found["rated"][-1:] or [{"snapshot": player, "score": float("nan"), "n": 0}]
-        parts.append(f"{last[0]['snapshot']} {last[0]['score']:.1%} of {last[0]['n']}")
+    newest = {player: found["rated"][-1] if found["rated"] else None for player, found in players.items()}
+    parts = [f"{r['snapshot']} {r['score']:.1%} of {r['n']}" if r else f"{p} not rated" for p, r in newest.items()]
     return f"{name}: {', '.join(parts)}"
 
 
 def parsed(argv: Sequence[str]) -> argparse.Namespace:
     """Return the arguments. Exits with code 2 for what cannot be."""
     parser = make_parser(__doc__)
+    parser.set_defaults(out=Path("runs/out"))
     parser.add_argument("runs", nargs="+", metavar="RUN", help="a preset, or a file of settings (.toml)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED")
     parser.add_argument("--within", type=float, default=540.0, help="seconds of a run at most, from its command")
     parser.add_argument("--jobs", type=int, default=1, help="runs at once; several GPUs are shared out")
     parser.add_argument("--store", type=Path, required=True, help="the folder for the leagues' stores")
-    parser.add_argument("--folder", type=Path, required=True, help="the folder for policies and curves")
     own, further = split_arguments(list(argv))
     args = parser.parse_args(own, argparse.Namespace(flags=further))
     for run in args.runs:

@@ -26,7 +26,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )  # fmt: skip
     (place / "pennies.toml").write_text(dumps(config))
     words = [str(place / "pennies.toml"), "--seeds", "2", "--within", "300", "--store", str(place / "store")]
-    assert trials.main([*words, "--folder", str(place / "out"), "--", "--steps", "128"]) == 0
+    assert trials.main([*words, "--out", str(place / "out"), "--", "--steps", "128"]) == 0
     return place / "out"
 
 
@@ -66,7 +66,7 @@ def test_ratings_are_of_snapshots_that_met_the_first_opponents():
 
 def test_a_run_that_is_neither_a_preset_nor_a_file_is_refused(capsys):
     with pytest.raises(SystemExit) as ended:
-        trials.main(["sumo-by-teams", "--store", "s", "--folder", "f"])
+        trials.main(["sumo-by-teams", "--store", "s"])
     assert ended.value.code == 2
     assert "sumo-by-teams is neither a preset nor a file" in capsys.readouterr().err
 
