@@ -76,12 +76,14 @@ def soccer_2v2() -> Config:
 
 def galaga_1v1() -> Config:
     """3D Galaga of one tank and one drone that see each other: each learns alone first, to aim a little and to fly."""
-    return _ladder("galaga-1v1", *_galaga("1v1", SEEN, {"steps": 3_000_000}, {"steps": 20_000_000}), match=SIGHT)
+    aim, fly = {"steps": 3_000_000}, {"steps": 20_000_000}
+    return _ladder("galaga-1v1", *_galaga("1v1", SEEN, aim, fly), match=SIGHT)
 
 
 def galaga_2v2() -> Config:
-    """3D Galaga of two tanks and two drones within walls, by the same stages."""
-    return _ladder("galaga-2v2", *_galaga("2v2", 0, {"success": 0.9, "steps": 50_000_000}, FLIGHT))
+    """3D Galaga of two tanks and two drones within walls: each learns alone first, to aim and to fly."""
+    aim, fly = {"success": 0.9, "steps": 50_000_000}, {"success": 0.9, "steps": 200_000_000}
+    return _ladder("galaga-2v2", *_galaga("2v2", 0, aim, fly))
 
 
 def _ladder(arena: str, *stages: Stage, match: Mapping[str, Any] | None = None) -> Config:
@@ -178,11 +180,13 @@ SIGHT = {
 }  # fmt: skip
 """Matches in which both sides learn: the drone sees the tank, which does not aim well yet, and half of the games are
 against a history, without which drones forgot how to win against a weak tank (docs/results.md)."""
-FLIGHT = {"success": 0.9, "steps": 200_000_000}
 
 
 def _galaga(size: str, buffer: int, aim: Mapping[str, Any], fly: Mapping[str, Any]) -> tuple[Stage, ...]:
-    """Return the stages in which tank and drone learn alone, with the observations of the game of that size."""
+    """Return the stages in which tank and drone learn alone, with the observations of the game of that size.
+
+    `buffer` numbers behind them are zero until the match; `aim` and `fly` say when the stages end.
+    """
     seen = {"arena": {"buffer": buffer}}
     return tuple(
         Stage(name, merged(_stage(name, f"galaga-{name}-{size}", **budget).settings, seen))
