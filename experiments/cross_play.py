@@ -133,6 +133,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with file_league(config, args.folder, args.seeds, sides, args.worlds) as league:
         result |= {"rules": league.arena.config_hash, "policies": league.policies(), "pairs": []}
         known = [pair for pair in pairs_of(args.seeds, sides, args.initial) if league.snapshots.keys() >= {*pair}]
+        if not known:
+            raise ConfigError(
+                (), f"{args.folder} has no initial policies: SEED/{sides[0]}{INITIAL}.safetensors and others"
+            )
         for a, b in known:
             began = time.monotonic()
             rows, row = play(league, a, b, args.episodes // args.worlds)

@@ -11,6 +11,7 @@ from agents.rollout.rollout import PlayedEpisodes
 from arenas.state import Frames
 from experiments import cross_play
 from league.config.experiment import default
+from league.config.schema import ConfigError
 from storage.errors import StorageError
 from tests.league.runs.bench.files import network
 
@@ -59,6 +60,18 @@ def test_initial_policies_alone_by_other_rules(folder, tmp_path):
     hashes = [replace(rules, rules=replace(rules.rules, rounds=n)).build(engine="c").config_hash for n in (1, 3)]
     assert found["rules"] == hashes[1] != hashes[0]
     assert "cross_play" not in found
+
+
+def test_seeds_without_initial_policies_play_with_their_newest_alone(folder, tmp_path):
+    out = tmp_path / "found.json"
+    for side in ROSTERS:
+        (tmp_path / "1").mkdir(exist_ok=True)
+        (tmp_path / "1" / f"{side}.safetensors").write_bytes((folder / "1" / f"{side}.safetensors").read_bytes())
+    words = [str(tmp_path), "--arena", "matching-pennies", "--episodes", "8", "--worlds", "8"]
+    assert cross_play.main([*words, "--out", str(out)]) == 0
+    assert [(row["a"], row["b"]) for row in json.loads(out.read_text())["pairs"]] == [("1:blue", "1:red")]
+    with pytest.raises(ConfigError, match="no initial policies"):
+        cross_play.main([*words, "--initial"])
 
 
 @pytest.mark.parametrize(
