@@ -25,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Event
 from typing import Any
 
 from league.system.environment import prepare
@@ -135,17 +136,23 @@ def export(store: Store, name: str, folder: Path) -> dict[str, Any]:
     return found
 
 
-def trial(args: argparse.Namespace, run: str, seed: int, variables: Mapping[str, str]) -> tuple[Path, dict[str, Any]]:
-    """Train one run from one seed; write what it leaves, and return its JSON with the path."""
-    file = Path(run)
-    name, start = (file.stem, [run]) if run not in PRESETS else (run, ["--preset", run])
+def name_of(run: str) -> str:
+    """Return the name of a preset, or of a file without its ending."""
+    return run if run in PRESETS else Path(run).stem
+
+
+def trial(
+    args: argparse.Namespace, run: str, seed: int, stop: Callable[[], bool], variables: Mapping[str, str]
+) -> tuple[Path, dict[str, Any]]:
+    """Train one run from one seed until `stop` says so; write what it leaves, and return its JSON with the path."""
+    name, start = name_of(run), ["--preset", run] if run in PRESETS else [run]
     where = args.store / f"{name}-{seed}"
     where.mkdir(parents=True, exist_ok=True)
     command = [
         sys.executable, "-m", "league", "run", *start, "--store", str(where), "--league", name, "--seed", str(seed),
         "--budget.rating_time", "0s", *args.flags,
     ]  # fmt: skip
-    began = run_within(command, args.store / f"{name}-{seed}.txt", args.within, variables=variables)
+    began = run_within(command, args.store / f"{name}-{seed}.txt", args.within, stop, variables)
     took, leagues = time.time() - began, {}
     with Store.open(where) as store:
         for each in store.leagues():
@@ -185,31 +192,49 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     for run in args.runs:
         if run not in PRESETS and not Path(run).is_file():
             parser.error(f"{run} is neither a preset nor a file; presets: {', '.join(sorted(PRESETS))}")
+    names = [name_of(run) for run in args.runs]
+    if len(set(names)) < len(names) or len(set(args.seeds)) < len(args.seeds):
+        parser.error(
+            f"{', '.join(names)} with seeds {', '.join(map(str, args.seeds))}: each once, as they share a store"
+        )
+    if not args.within > 0:
+        parser.error(f"--within is {args.within}: give seconds above 0")
     if args.jobs < 1:
         parser.error(f"--jobs is {args.jobs}: give 1 or more")
     return args
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train every run from every seed, `--jobs` at once."""
+    """Train every run from every seed, `--jobs` at once; return 0, or 130 if SIGINT or SIGTERM stopped it.
+
+    Leagues that are stopped so leave what they have.
+    """
     args = parsed(sys.argv[1:] if argv is None else argv)
-    free = SimpleQueue[int]()
+    free, stopped = SimpleQueue[int](), Event()
     for slot in range(args.jobs):
         free.put(slot)
 
-    def train(job: tuple[str, int]) -> tuple[Path, dict[str, Any]]:
+    def train(job: tuple[str, int]) -> tuple[Path, dict[str, Any]] | None:
         slot = free.get()
         try:
-            return trial(args, *job, device_of(slot, args.jobs))
+            return None if stopped.is_set() else trial(args, *job, stopped.is_set, device_of(slot, args.jobs))
         finally:
             free.put(slot)
 
-    with ThreadPoolExecutor(args.jobs) as pool:
-        results = list(pool.map(train, product(args.runs, args.seeds)))
+    def stop(number: int, frame: object) -> None:
+        stopped.set()
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with ThreadPoolExecutor(args.jobs) as pool:
+            results = [each for each in pool.map(train, product(args.runs, args.seeds)) if each]
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
     about = run_info(args.commit)  # only now, since it takes a GPU's memory
     for path, result in results:
         write({**result, **about}, path)
-    return 0
+    return 130 if stopped.is_set() else 0
 
 
 if __name__ == "__main__":

@@ -116,3 +116,20 @@ def test_matches_of_harl_a_have_the_learner_with_which_its_figures_were_reached(
     assert alone[0].learner == config.learner
     assert alone[0].training.rollout_length == config.training.rollout_length
     assert match.budget.steps == 500_000_000
+
+
+def test_robots_of_the_quick_start_share_an_actor_and_those_of_the_default_do_not():
+    assert presets.preset("quickstart").learner.share_actors
+    assert presets.preset("rovers").learner.share_actors
+    assert not configuration.default().learner.share_actors
+
+
+def test_galaga_of_one_begins_before_the_tank_aims_well_and_plays_a_history_in_sight():
+    config = presets.preset("galaga-1v1")
+    aim, fly, match = (configuration.stage(config, number) for number in range(3))
+    assert (aim.budget.steps, aim.budget.success) == (3_000_000, None)
+    assert aim.arena.buffer == fly.arena.buffer == match.arena.buffer == 8
+    assert match.arena.rich
+    assert (match.training.opponents.kind, match.training.opponents.past) == ("uniform", 0.5)
+    assert (match.training.schedule.kind, match.training.schedule.until_score) == ("leapfrog", 0.8)
+    assert not configuration.stage(presets.preset("galaga-2v2"), 2).arena.rich

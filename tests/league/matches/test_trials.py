@@ -64,11 +64,21 @@ def test_ratings_are_of_snapshots_that_met_the_first_opponents():
     assert list(trials.rated(state, "red")) == []
 
 
-def test_a_run_that_is_neither_a_preset_nor_a_file_is_refused(capsys):
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["sumo-by-teams"], "sumo-by-teams is neither a preset nor a file"),
+        (["duel", "duel"], "each once"),
+        (["duel", "--seeds", "1", "1"], "each once"),
+        (["duel", "--within", "0"], "--within is 0.0"),
+        (["duel", "--jobs", "0"], "--jobs is 0"),
+    ],
+)
+def test_what_cannot_be_tried_is_told(words, says, capsys):
     with pytest.raises(SystemExit) as ended:
-        trials.main(["sumo-by-teams", "--store", "s"])
+        trials.main([*words, "--store", "s"])
     assert ended.value.code == 2
-    assert "sumo-by-teams is neither a preset nor a file" in capsys.readouterr().err
+    assert says in capsys.readouterr().err
 
 
 def test_a_curve_has_the_means_of_its_parts():
