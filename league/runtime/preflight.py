@@ -24,6 +24,7 @@ from league.config.schema import ConfigError
 from league.runtime.bootstrap import create, players_of, validate_first_start, validate_stage_starts, validate_victims
 from league.runtime.validation import validate
 from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
+from league.snapshots import warm_start
 from league.state.team_exchange import as_made, players_in
 from league.system import devices, environment, exit_codes
 from league.system.arena_build import Built, rating_batch, worlds
@@ -45,6 +46,12 @@ class Prepared:
     worlds: int  # simulated at once in training
     sides: tuple[str, ...]  # each team as text, e.g. blue (2 × leatherback)
     rating: tuple[int, int] = RATING["cpu"]  # worlds and pairings of a batch of rating matches
+    changed_actions: tuple[str, ...] = ()  # lines about robots whose actions meant something else where they learnt
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "Prepared":
+        """Return the facts that `asdict` gave, read back from JSON, which has lists for tuples."""
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
 
 
 class PrepareError(Exception):
@@ -111,7 +118,7 @@ def preparation(
         if not keep:
             process.end()
         found = answer["prepared"]
-        yield Prepared(**{**found, "sides": tuple(found["sides"])}), process if keep else None
+        yield Prepared.from_json(found), process if keep else None
 
 
 def prepare_ahead(spec: RunSpec, config: Config) -> WarmWorker | None:
@@ -191,10 +198,12 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
             store.create_league(League(config.league, spec.config_toml))
         else:
             create(store, config, arenas[0], spec.config_toml)
+        begins = config.after and not stages and not store.newest_checkpoints(config.league)
+        changed = tuple(warm_start.changed_actions(store, config)) if begins else ()
     arena = arenas[0]
     sides = tuple(f"{t.name} ({describe_team(a.kind for a in t.agents)})" for t in arena.teams)
     count, batch = worlds(config), rating_batch(config)
-    prepared = Prepared(arena.name, arena.engine.name, count, sides, batch)
+    prepared = Prepared(arena.name, arena.engine.name, count, sides, batch, changed)
     return prepared, Built(arena, first, worlds(first))
 
 

@@ -3,17 +3,19 @@
 They play as a warm start from them would begin (`league.snapshots.warm_start`): inputs that were constant where they
 learnt are ignored (`agents.policy.constant_inputs`). Else each such input, divided by a deviation of zero, would be at
 its limit. Networks that encode sets of entities play where robots see other numbers of them
-(`agents.policy.entity_places`), in teams of other sizes.
+(`agents.policy.entity_places`), in teams of other sizes. Actions stay as they are, also where the same number now means
+another speed or angle: `changed_actions` tells of it.
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agents.policy import entity_places
 from agents.policy.constant_inputs import is_constant
+from arenas.description import Part
 from arenas.rosters import bare, matching_roster, roster_agents
 from league.config import experiment as configuration
 from league.queries.query import Open
@@ -21,7 +23,7 @@ from league.snapshots.policy_file import ExchangeError, Policy, arena_name
 from storage.records import Snapshot
 
 if TYPE_CHECKING:
-    from arenas.arena import Arena
+    from arenas.arena import Arena, Settings
 
 
 def elsewhere(snapshot: Snapshot, arena: "Arena") -> bool:
@@ -32,15 +34,51 @@ def elsewhere(snapshot: Snapshot, arena: "Arena") -> bool:
 def describe_transfer(league: Open, policy: Policy) -> str:
     """Return a note about an imported policy that learnt in another arena than the league's, else an empty text.
 
-    This compares names of arenas only, because the rules are not known before the arena is built.
+    This compares names of arenas and the meaning of actions, and of rules nothing else.
     """
     learnt, here = (policy.about["arena"] or {}).get("arena"), arena_name(league)
-    if learnt is None or here in ("", learnt):
+    if learnt is None or here == "":
         return ""
-    still, every = np.sum([_inputs(policy.arrays, f"{i}/") for i in range(len(policy.about["agents"]))], axis=0)
-    if not still:
-        return f"It learnt in {learnt}, where all its inputs moved."
-    return f"It learnt in {learnt}: {still} of its {every} inputs never moved there, and say nothing to it here."
+    lines = list(changed_actions_of(policy, league.store.league(league.league).config))
+    if here != learnt:
+        still, every = np.sum([_inputs(policy.arrays, f"{i}/") for i in range(len(policy.about["agents"]))], axis=0)
+        silent = f": {still} of its {every} inputs never moved there, and say nothing to it here."
+        lines.insert(0, f"It learnt in {learnt}{silent if still else ', where all its inputs moved.'}")
+    return "\n".join(lines)
+
+
+def changed_actions_of(policy: Policy, here: str) -> Iterator[str]:
+    """Yield a line for each kind of robot of a policy, as `changed_actions` does."""
+    return changed_actions(policy.about["settings"], here, {kind for kind, _ in _kinds(policy.about["roster"])})
+
+
+def changed_actions(learnt: str, here: str, kinds: Collection[str]) -> Iterator[str]:
+    """Yield a line for each of these kinds of robot to which an action means something else than where it learnt.
+
+    `learnt` and `here` are settings of leagues, as TOML. Arenas whose settings differ are built, which takes up to a
+    second. Of an arena that cannot be built here nothing is known.
+    """
+    try:
+        there, own = (configuration.loads(text).arena for text in (learnt, here))
+        known = (_actions(there), _actions(own)) if there != own else ({}, {})
+    except (Exception, SystemExit):  # the arena may be a stranger's file
+        return
+    was, now = known
+    for kind in [kind for kind in now if kind in was and kind in kinds]:
+        changes = [
+            f"{new.name} was {old.meaning}, and is {new.meaning}"
+            for old, new in zip(was[kind], now[kind], strict=False)
+            if (old.name, old.size) == (new.name, new.size) and old.meaning != new.meaning
+        ]
+        if changes:
+            told = "; ".join(changes)
+            yield f"An action of the {kind} means something else here than in {there.name}, where it learnt: {told}."
+
+
+def _actions(settings: "Settings") -> dict[str, tuple[Part, ...]]:
+    """Return the description of the actions of each kind of robot of an arena."""
+    arena = settings.build(engine="c", threads=1)
+    return {agent.kind: arena.robots[agent.name].action_parts for agent in arena.agents}
 
 
 def refitted(league: Open, policy: Policy) -> Policy:

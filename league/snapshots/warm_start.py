@@ -16,12 +16,12 @@ import numpy as np
 
 from agents.policy.skill_arrays import PREFIX, strategy_of
 from arenas.rosters import bare, roster_agents
-from league.config import toml
+from league.config import experiment, toml
 from league.config.experiment import Config
 from league.config.sections import POLICY_FILE, Rating
 from league.queries.league_settings import LeagueSettings
 from league.scheduling.training_progress import handed_on
-from league.snapshots import policy_file
+from league.snapshots import arena_transfer, policy_file
 from league.state.league_state import LeagueState
 from storage.blobs import arrays, programs
 from storage.errors import StorageError, UnknownName
@@ -165,6 +165,34 @@ def describe(starts: Mapping[str, WarmStart], store: Store | None = None) -> lis
         why = "" if critic or not any(actors) else " (no earlier one has its input)"
         lines.append(f"{name}: {text}; {value}{why}")
     return lines
+
+
+def changed_actions(store: Store, config: Config) -> list[str]:
+    """Return a line for each kind of robot whose sources learnt where the same action means something else.
+
+    The league must have its players. Arenas are built: see `arena_transfer.changed_actions`.
+    """
+    starts = of_config(store, store.players(config.league), config)
+    rosters = {p.name: roster_agents(p.roster) for p in store.players(config.league)}
+    kinds: dict[str, dict[str, None]] = {}
+    for name, (actors, _) in starts.items():
+        for agent, source in zip(rosters[name], actors, strict=True):
+            if source:
+                kinds.setdefault(source.league, {})[_kind(agent)] = None
+    here = experiment.dumps(config, comments=False)
+    return [
+        f"{league}: {line}"
+        for league, found in kinds.items()
+        for line in arena_transfer.changed_actions(_settings_of(store, league), here, list(found))
+    ]
+
+
+def _settings_of(store: Store, name: str) -> str:
+    """Return the settings, as TOML, with which a league, a snapshot's league or a frozen policy learnt."""
+    league = name.partition("/")[0]
+    if league in {each.name for each in store.leagues()}:
+        return store.league(league).config
+    return str(policy_file.read(policy_file.find(name)).about["settings"])
 
 
 def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:

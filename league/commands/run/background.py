@@ -216,7 +216,7 @@ class _Reporter:
             self.has_begun = True
             self.store.set_config(self.config.league, self.config_toml)
             self.store.start_run(self.config.league, self.config_toml, socket.gethostname(), {**versions(), **code()})
-            starts = [f"  {line}" for line in _warm_starts(self.store, self.config)]
+            starts = [f"  {line}" for line in (*_warm_starts(self.store, self.config), *self.prepared.changed_actions)]
             print("\n".join([_greeting(self.config, self.prepared, self.store.where), *starts]), flush=True)
             self.on_lead()
         self.ticker(*how)
@@ -243,7 +243,7 @@ def main() -> int:
     """Read a BackgroundRun from stdin and run it; write to the pipe named on the command line when it leads."""
     run = json.load(sys.stdin)
     spec = RunSpec(**run["spec"])
-    prepared = Prepared(**{**run["prepared"], "sides": tuple(run["prepared"]["sides"])})
+    prepared = Prepared.from_json(run["prepared"])
 
     def on_lead() -> None:
         with os.fdopen(int(sys.argv[1]), "w") as pipe:

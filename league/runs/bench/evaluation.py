@@ -9,6 +9,7 @@ from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
+from league.config import experiment
 from league.config.schema import ConfigError
 from league.runs.bench import attackers, entry_file, exact, references
 from league.runs.bench import entrants as entries
@@ -18,6 +19,8 @@ from league.runs.bench.games import BenchLeague, Row, bench_league
 from league.runs.bench.metrics import MIDDLE, metrics, seconds_to_75
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import BATCH, GAMES, Task
+from league.snapshots.arena_transfer import changed_actions_of
+from league.snapshots.policy_file import Policy
 from league.system.packages.versions import versions
 from league.system.provenance import code
 from storage.errors import UnknownName
@@ -65,6 +68,8 @@ def evaluate(
         raise ConfigError(("entry",), f"league bench {task.name} needs --entry FILE: a policy to measure")
     seed = task.seed if request.seed is None else request.seed
     task.build()
+    for line in _changed_actions(task, entrants):
+        tell(line)
     rows, attacks = (
         (exact.rows(task, entrants), [])
         if task.exact
@@ -81,6 +86,14 @@ def evaluate(
         "attacks": attacks, "curve": curve,
         "metrics": measured(task, [e.name for e in entrants], rows, attacks, curve, known),
     }  # fmt: skip
+
+
+def _changed_actions(task: Task, entrants: Sequence[Entrant]) -> Iterator[str]:
+    """Yield a line for each policy whose robot's actions meant something else where it learnt."""
+    here = experiment.dumps(task.config(), comments=False)
+    for each in entrants:
+        if isinstance(each.content, Policy):
+            yield from (f"{each.name}: {line}" for line in changed_actions_of(each.content, here))
 
 
 def measured(

@@ -9,11 +9,14 @@ import arenas
 from agents.policy.constant_inputs import is_constant, silence_constant_inputs
 from agents.policy.jax_policy import distribution, policy_params
 from league.commands import cli
-from league.config.experiment import Config
+from league.config.experiment import Config, dumps
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
+from league.runs.bench.evaluation import Request, evaluate
+from league.runs.bench.tasks import find
 from league.runtime.bootstrap import create
-from league.snapshots import policy_file
+from league.snapshots import policy_file, warm_start
+from league.snapshots.arena_transfer import changed_actions_of
 from league.snapshots.codec import thaw
 from league.state.jobs import RatingMatch
 from scripts.trained_cards import candidates
@@ -86,6 +89,49 @@ def test_an_import_says_where_it_learnt_and_what_never_moved_there(store, tmp_pa
     assert not ended.value.code
     still = int(is_constant(SCORE.arrays, "0/").sum())
     assert f"It learnt in soccer-score: {still} of its 66 inputs never moved there" in capsys.readouterr().out
+
+
+def settings_with(drive_scale: float, **further) -> Config:
+    """Settings of soccer-1v1 with that unit of throttle; the rovers that come with the league learnt with 10."""
+    base = arenas.settings("soccer-1v1")
+    return Config(arena=replace(base, rules=replace(base.rules, drive_scale=drive_scale)), **further)
+
+
+@pytest.mark.parametrize(
+    ("name", "drive_scale", "kinds"),
+    [("leatherback-score", 40.0, ["leatherback"]), ("leatherback-score", 10.0, []), ("anymal-score", 40.0, [])],
+)
+def test_actions_that_mean_something_else_here_are_told(name, drive_scale, kinds):
+    policy = policy_file.read(policy_file.find(name))
+    told = list(changed_actions_of(policy, dumps(settings_with(drive_scale))))
+    assert len(told) == len(kinds)
+    for line, kind in zip(told, kinds, strict=True):
+        assert f"An action of the {kind} means something else here than in soccer-score-leatherback" in line
+        assert "throttle was speed of all wheels, 10 rad/s per unit" in line
+        assert "and is speed of all wheels, 40 rad/s per unit" in line
+        assert "steering" not in line
+
+
+def test_of_an_arena_that_cannot_be_built_nothing_is_told():
+    policy = policy_file.read(policy_file.find("leatherback-score"))
+    assert not list(changed_actions_of(policy, '[arena]\nname = "not/there.py:Arena"'))
+
+
+def test_a_new_league_names_the_source_whose_actions_change(tmp_path):
+    config = settings_with(40.0, after=("anymal-score", "leatherback-score"))
+    with Store.open(tmp_path / "store", create=True) as store:
+        create(store, config, config.arena.build(engine="c", threads=1))
+        (line,) = warm_start.changed_actions(store, config)
+    assert line.startswith("leatherback-score: An action of the leatherback means something else")
+
+
+def test_an_entry_is_told_of_changed_actions_before_a_game_is_played():
+    def tell(line):
+        raise InterruptedError(line)
+
+    words = ["blue=anymal-score", "red=leatherback-score"]
+    with pytest.raises(InterruptedError, match=r"e1:red: An action of the leatherback .* 40 rad/s per unit"):
+        evaluate(find("t3-soccer-1v1-v1"), words, Request(name="x", games=2), tell=tell)
 
 
 @pytest.mark.parametrize("name", policy_file.trained())
