@@ -51,7 +51,8 @@ class Prepared:
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Prepared":
         """Return the facts that `asdict` gave, read back from JSON, which has lists for tuples."""
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+        as_tuples = {name: tuple(found[name]) for name in ("sides", "rating", "changed_actions")}
+        return cls(**{**found, **as_tuples})
 
 
 class PrepareError(Exception):
