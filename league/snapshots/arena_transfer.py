@@ -55,8 +55,8 @@ def changed_actions_of(policy: Policy, here: str) -> Iterator[str]:
 def changed_actions(learnt: str, here: str, kinds: Collection[str]) -> Iterator[str]:
     """Yield a line for each of these kinds of robot to which an action means something else than where it learnt.
 
-    `learnt` and `here` are settings of leagues, as TOML. Arenas whose settings differ are built, which takes up to a
-    second. Of an arena that cannot be built here nothing is known.
+    `learnt` and `here` are settings of leagues, as TOML. Arenas whose settings differ are built, which takes a second
+    or two. Of an arena that cannot be built here nothing is known.
     """
     try:
         there, own = (configuration.loads(text).arena for text in (learnt, here))

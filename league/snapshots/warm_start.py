@@ -189,10 +189,9 @@ def changed_actions(store: Store, config: Config) -> list[str]:
 
 def _settings_of(store: Store, name: str) -> str:
     """Return the settings, as TOML, with which a league, a snapshot's league or a frozen policy learnt."""
-    league = name.partition("/")[0]
-    if league in {each.name for each in store.leagues()}:
-        return store.league(league).config
-    return str(policy_file.read(policy_file.find(name)).about["settings"])
+    if _is_policy(name) and name not in {league.name for league in store.leagues()}:
+        return str(policy_file.read(policy_file.find(name)).about["settings"])
+    return store.league(name.partition("/")[0]).config
 
 
 def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:

@@ -120,9 +120,16 @@ def test_of_an_arena_that_cannot_be_built_nothing_is_told():
 def test_a_new_league_names_the_source_whose_actions_change(tmp_path):
     config = settings_with(40.0, after=("anymal-score", "leatherback-score"))
     with Store.open(tmp_path / "store", create=True) as store:
-        create(store, config, config.arena.build(engine="c", threads=1))
+        arena = config.arena.build(engine="c", threads=1)
+        create(store, config, arena)
         (line,) = warm_start.changed_actions(store, config)
-    assert line.startswith("leatherback-score: An action of the leatherback means something else")
+        assert line.startswith("leatherback-score: An action of the leatherback means something else")
+        after = replace(config, league="later", after=("main",))
+        create(store, after, arena)
+        assert not warm_start.changed_actions(store, after)
+        (line,) = warm_start.changed_actions(store, replace(after, arena=settings_with(20.0).arena))
+    assert line.startswith("main: ")
+    assert "was speed of all wheels, 40 rad/s per unit" in line
 
 
 def test_an_entry_is_told_of_changed_actions_before_a_game_is_played():
