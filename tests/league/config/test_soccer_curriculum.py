@@ -43,8 +43,18 @@ def test_stages_lead_from_the_first_step_to_the_matches(name):
     units = [(each.arena.rules.drive_scale, each.arena.rules.steer_scale) for each in found[4:]]
     assert units == [(40.0, 0.5)] * 4  # a policy means the same by its actions wherever it goes on
     assert [each.learner.gae_lambda for each in found] == [*[0.95] * 6, 1.0, 0.99]  # far once the rover scores
-    plain = arenas.settings(name)
-    assert found[-1].arena == replace(plain, rules=found[-1].arena.rules)
+    plain, match = arenas.settings(name), found[-1]
+    assert match.arena == replace(plain, rules=match.arena.rules, reward=match.arena.reward)
+    assert (match.arena.reward != plain.reward) == (name == "soccer-1v1")  # two on two it did not help
+
+
+def test_one_on_one_the_dense_reward_pays_for_metres_alone_and_fades():
+    match = configuration.stage(PRESETS["soccer-1v1"](), len(STAGES) - 1)
+    reward = match.arena.reward
+    assert (reward.push, reward.approach, reward.ball) == (2.0, 0.5, 0.0)
+    assert 0 < match.training.shaping_steps < match.budget.steps
+    assert match.training.shaping_until is None  # by steps, since training scores do not rise in self-play
+    assert (match.training.opponents.kind, match.training.opponents.past) == ("uniform", 0.5)
 
 
 @pytest.mark.parametrize("name", PRESETS)
