@@ -119,12 +119,12 @@ STARTS: Mapping[str, Start] = {
     "t0-dark-hex-3-v1": Start("leduc-poker"),  # dark hex has no preset of its own
     "t1-sumo-rovers-v1": Start("quickstart", {"share_actors": False}),  # by the methods `shared` and `mappo` alone
     "t2-sumo-unlike-v1": Start("sumo-by-team", after=("anymals-sumo", "leatherbacks-sumo"), matches=True),
-    "t3-soccer-1v1-v1": Start("soccer-1v1", SCORING, ("anymal-score", "leatherback-score")),
+    "t3-soccer-1v1-v1": Start("soccer-1v1", SCORING, ("anymal-score", "leatherback-score-preset")),
     "t4-galaga-1v1-v1": Start("galaga-1v1", after=("minitank-galaga", "crazyflie-galaga")),
     "t5-pursuit-v1": Start("galaga-1v1", {"share_actors": True}),  # pursuit has no preset of its own
     "t6-sumo-ants-v1": Start("sumo-ants"),
 }
-"""Tasks with baselines. In T3 to T6 the references learnt with these settings too."""
+"""Tasks with baselines. In T4 to T6 the references learnt with these settings too."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
     python -m scripts.trained_cards --arenas soccer-1v1 --output raw.json --raw
 
 An arena accepts a policy if one of its teams has the policy's roster. With default settings these are the arenas of its
-robots; if the arena in which it was trained accepts it only with other settings, these are tried too. In an arena of
+robots; if the arena in which it was trained accepts it only with other settings, or if an action means another speed or
+angle with them, these are tried too, or instead. In an arena of
 two teams, each policy plays the shipped policies that fit the other team, and the script `idle`.
 
 `--cards` writes the table of each policy into its card, between two marks. `--raw` keeps the input weights that are
@@ -32,6 +33,7 @@ from league.queries.query import Open, score_text
 from league.runtime.bootstrap import create
 from league.scheduling.progress_metrics import can_meet
 from league.snapshots import policy_file
+from league.snapshots.arena_transfer import changed_actions_of
 from league.state.jobs import RatingMatch
 from league.system.packages.versions import versions
 from matchmaking.ratings.ladder import Ladder
@@ -52,8 +54,9 @@ def rosters(outline: Outline) -> list[str]:
 def candidates(policies: Mapping[str, policy_file.Policy]) -> dict[str, tuple[Settings, list[str]]]:
     """Return title -> (settings of an arena, names of the policies that it accepts)."""
     found: dict[str, tuple[Settings, list[str]]] = {}
+    odd = {t for t, p in policies.items() if has_changed_actions(p, arenas.settings(p.about["arena"]["arena"]))}
     for name, settings in arenas.known().items():
-        fit = [title for title, p in policies.items() if p.about["roster"] in rosters(outline(settings))]
+        fit = [t for t, p in policies.items() if p.about["roster"] in rosters(outline(settings)) and t not in odd]
         if fit:
             found[name] = settings, fit
     own: dict[Any, list[str]] = {}
@@ -62,9 +65,20 @@ def candidates(policies: Mapping[str, policy_file.Policy]) -> dict[str, tuple[Se
         if settings.name not in found or title not in found[settings.name][1]:
             own.setdefault(settings, []).append(title)
     for settings, fit in own.items():
-        others = [t for t, p in policies.items() if p.about["roster"] in rosters(outline(settings))]
+        others = [
+            t for t, p in policies.items()
+            if p.about["roster"] in rosters(outline(settings)) and not has_changed_actions(p, settings)
+        ]  # fmt: skip
         found[f"{settings.name} as {' and '.join(fit)} learnt it"] = settings, others
     return found
+
+
+def has_changed_actions(policy: policy_file.Policy, settings: Settings) -> bool:
+    """Return whether an action of a policy means another speed or angle in an arena than where it learnt."""
+    rules = (getattr(own, "rules", None) for own in (configuration.loads(policy.about["settings"]).arena, settings))
+    if len({*rules}) == 1:  # so nothing has to be built
+        return False
+    return any(changed_actions_of(policy, configuration.dumps(Config(arena=settings))))
 
 
 def pairs(store: Store, fit: list[str]) -> Iterator[tuple[str, str | None]]:

@@ -162,7 +162,8 @@ class Rating:
     scripts: tuple[str, ...] | None = None
     """Scripted opponents in the rating pool (none: all that the arena has)."""
     trained: bool = True
-    """Policies that come with the league are in the rating pool of the arena in which they learnt."""
+    """Policies that come with the league are in the rating pool of the arena in which they learnt, unless their actions
+    mean another speed or angle there."""
     share: float = field(default=0.1, metadata={"low": 0.0, "high": 1.0})
     """Share of the time of the devices that train which matches may take meanwhile (1: as much as they get)."""
     void_limit: float = field(default=0.02, metadata={"low": 0.0, "high": 1.0})

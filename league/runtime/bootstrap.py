@@ -33,8 +33,8 @@ def create(store: Store, config: Config, arena: "Arena", config_toml: str | None
     """
     from league.queries.query import Open
     from league.runtime.checkpoint_compat import validate_checkpoints
+    from league.snapshots.arena_transfer import bring_in_trained
     from league.snapshots.codec import add_scripts
-    from league.snapshots.policy_file import bring_in_trained
 
     players = players_of(config, arena)
     if config.league in {league.name for league in store.leagues()}:
@@ -53,7 +53,7 @@ def create(store: Store, config: Config, arena: "Arena", config_toml: str | None
     store.add_players(players)
     add_scripts(store, config.league, arena, scripts(config, arena))
     if config.rating.trained:
-        bring_in_trained(Open(store, config.league), arena.name)
+        bring_in_trained(Open(store, config.league), arena)
 
 
 def _validate_rosters(store: Store, config: Config, arena: "Arena", players: list[Player]) -> None:

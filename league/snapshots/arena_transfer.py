@@ -19,7 +19,7 @@ from arenas.description import Part
 from arenas.rosters import bare, matching_roster, roster_agents
 from league.config import experiment as configuration
 from league.queries.query import Open
-from league.snapshots.policy_file import ExchangeError, Policy, arena_name
+from league.snapshots.policy_file import ExchangeError, Policy, arena_name, bring_in, find, read, trained
 from storage.records import Snapshot
 
 if TYPE_CHECKING:
@@ -45,6 +45,23 @@ def describe_transfer(league: Open, policy: Policy) -> str:
         silent = f": {still} of its {every} inputs never moved there, and say nothing to it here."
         lines.insert(0, f"It learnt in {learnt}{silent if still else ', where all its inputs moved.'}")
     return "\n".join(lines)
+
+
+def bring_in_trained(league: Open, arena: "Arena") -> None:
+    """Add the policies that come with the league and learnt in this arena, if they fit and their name is free.
+
+    Left out are those to which an action means another speed or angle here: they would play worse than they learnt.
+    """
+    players, here = league.store.players(league.league), league.store.league(league.league).config
+    taken = {p.name for p in players} | {s.name for s in league.store.snapshots(league.league)}
+    for name in trained():
+        policy = read(find(name))
+        learnt = policy.about["arena"] or {}
+        if learnt.get("arena") != arena.name or name in taken:
+            continue
+        fits = matching_roster(policy.about["roster"], (p.roster for p in players))
+        if fits and (learnt["config_hash"] == arena.config_hash or not any(changed_actions_of(policy, here))):
+            bring_in(league, policy, name)
 
 
 def changed_actions_of(policy: Policy, here: str) -> Iterator[str]:

@@ -246,21 +246,6 @@ def bring_in(league: Open, policy: Policy, name: str) -> Snapshot:
     return next(s for s in store.snapshots(league.league) if s.name == name)
 
 
-def bring_in_trained(league: Open, arena: str) -> None:
-    """Add the policies that come with the league and learnt in this arena, if they fit and their name is free."""
-    players = league.store.players(league.league)
-    taken = {p.name for p in players} | {s.name for s in league.store.snapshots(league.league)}
-    for name in trained():
-        policy = read(find(name))
-        learnt_here = (policy.about["arena"] or {}).get("arena") == arena
-        if (
-            learnt_here
-            and name not in taken
-            and rosters.matching_roster(policy.about["roster"], (p.roster for p in players))
-        ):
-            bring_in(league, policy, name)
-
-
 def _arena(league: Open) -> str:
     """Return the arena of a league in words; empty if not known."""
     name = arena_name(league)

@@ -73,7 +73,8 @@ class Task:
 
 
 FREE = {("arena", "rules", "drive_scale"): "40.0", ("arena", "rules", "steer_scale"): "0.5"}
-"""Scales of a Leatherback's action with which the policies that come with the package learnt to score."""
+"""Scales of a Leatherback's action, those of the presets `soccer-1v1` and `soccer-2v2`. `leatherback-score` and
+`leatherback-soccer` learnt with the arena's own, 10 and 0.1 (docs/bench.md)."""
 NARROW = {
     ("arena", "rules", "hit"): "ray", ("arena", "rules", "ray"): "0.5", ("arena", "rich"): "true",
     ("arena", "buffer"): "8",

@@ -132,6 +132,19 @@ def test_a_new_league_names_the_source_whose_actions_change(tmp_path):
     assert "was speed of all wheels, 40 rad/s per unit" in line
 
 
+@pytest.mark.parametrize(
+    ("rules", "rover"),
+    [({}, "leatherback-soccer"), ({"drive_scale": 40.0, "steer_scale": 0.5}, "leatherback-soccer-preset")],
+)
+def test_the_rating_pool_has_those_whose_actions_mean_the_same(rules, rover, tmp_path):
+    base = arenas.settings("soccer-1v1")
+    config = Config(arena=replace(base, rules=replace(base.rules, **rules)))
+    with Store.open(tmp_path / "store", create=True) as store:
+        create(store, config, config.arena.build(engine="c", threads=1))
+        brought = {s.name for s in store.snapshots("main") if s.origin == "imported"}
+    assert brought == {"anymal-soccer", "anymal-soccer-preset", rover}
+
+
 def test_an_entry_is_told_of_changed_actions_before_a_game_is_played():
     def tell(line):
         raise InterruptedError(line)
@@ -141,11 +154,17 @@ def test_an_entry_is_told_of_changed_actions_before_a_game_is_played():
         evaluate(find("t3-soccer-1v1-v1"), words, Request(name="x", games=2), tell=tell)
 
 
-@pytest.mark.parametrize("name", policy_file.trained())
-def test_a_card_has_every_arena_that_accepts_the_policy(name):
+@pytest.fixture(scope="module")
+def arenas_of_cards():
+    """Name of an arena -> policies that it accepts, as for their cards."""
     policies = {title: policy_file.read(policy_file.find(title)) for title in policy_file.trained()}
+    return {title: fit for title, (_, fit) in candidates(policies).items()}
+
+
+@pytest.mark.parametrize("name", policy_file.trained())
+def test_a_card_has_every_arena_that_accepts_the_policy(name, arenas_of_cards):
     card = (policy_file.TRAINED / f"{name}.safetensors.md").read_text()
-    accepting = [title for title, (_, fit) in candidates(policies).items() if name in fit]
+    accepting = [title for title, fit in arenas_of_cards.items() if name in fit]
     assert accepting
     for title in accepting:
         assert f"\n| {title} | " in card

@@ -17,6 +17,8 @@ MET = {
     "anymal-leatherback-sumo": ("idle", 0.8),
     "anymal-score": (None, 0.08), "leatherback-score": (None, 0.4),
     "anymal-soccer": ("idle:red", 0.8), "leatherback-soccer": ("idle:blue", 0.7),
+    "leatherback-score-preset": (None, 0.5), "anymal-soccer-preset": ("idle:red", 0.8),
+    "leatherback-soccer-preset": ("idle:blue", 0.7),
     "anymal-ball": (None, 0.9), "minitank-aim": (None, 0.9), "crazyflie-fly": (None, 0.9),
     "minitank-galaga": ("dodger:red", 0.9), "crazyflie-galaga": ("random:blue", 0.85),
     "minitanks-galaga": ("dodger:red", 0.8), "crazyflies-galaga": ("random:blue", 0.8),
@@ -26,6 +28,7 @@ SIGHT = {name: {"rich": True, "buffer": 8} for name in ("minitank-galaga", "craz
 SIGHT |= {name: {"rich": True, "buffer": 14} for name in ("minitanks-galaga", "crazyflies-galaga")}
 """Settings of the arena without which they do not fit."""
 RULES = {name: {"ray": 0.5} for name in ("minitanks-galaga", "crazyflies-galaga")}
+RULES |= {f"leatherback-{of}-preset": {"drive_scale": 40.0, "steer_scale": 0.5} for of in ("score", "soccer")}
 """Those of the game that they learnt."""
 
 
