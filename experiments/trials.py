@@ -7,7 +7,7 @@ Each run is `league run` as typed, with a store of its own, `STORE/NAME-SEED`, u
 over; NAME is that of the preset, or of the file without its ending. The same command goes on with leagues that were
 stopped. A run leaves in OUT, once it has stopped:
 
-- `LEAGUE/SEED/PLAYER.safetensors` and `PLAYER-0.safetensors`, the newest and the first policy of every player; of a
+- `LEAGUE/SEED/PLAYER.safetensors` and `PLAYER-0.safetensors`, every player as it was last saved and at first; of a
   curriculum every stage is a league, `NAME.STAGE`. `experiments/cross_play.py OUT/LEAGUE` plays them;
 - `NAME-SEED.json` with the command, commit and machine, and the seconds at which each stage began, learnt and ended
   (below 0 for those of an earlier command); of each league the ratings of its own matches against the first opponents
@@ -126,11 +126,12 @@ def export(store: Store, name: str, folder: Path) -> dict[str, Any]:
     for player in state.players:
         history = state.history(player.name)
         folder.mkdir(parents=True, exist_ok=True)
-        for ending, snapshot in (("", history[-1]), ("-0", history[0])):
-            data = policy_file.export(opened, snapshot.name, []).to_bytes()
-            (folder / f"{player.name}{ending}.safetensors").write_bytes(data)
+        newest = policy_file.export_checkpoint(opened, player.name)  # it may have learnt on since its last snapshot
+        newest = newest or policy_file.export(opened, history[-1].name, [])
+        for ending, policy in (("", newest), ("-0", policy_file.export(opened, history[0].name, []))):
+            (folder / f"{player.name}{ending}.safetensors").write_bytes(policy.to_bytes())
         found[player.name] = {
-            "newest": history[-1].name, "steps": history[-1].step, "sha256": history[-1].digest,
+            "newest": newest.about["name"], "steps": newest.about["steps"], "sha256": newest.about["digest"],
             "rated": list(rated(state, player.name)), "curve": list(curve(store.curves(name, player.name))),
         }  # fmt: skip
     return found

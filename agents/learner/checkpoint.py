@@ -76,6 +76,17 @@ def actor_owners(state: State, agents: int) -> list[int]:
     return state["sharing"].tolist() if "sharing" in state else list(range(agents))
 
 
+def actors(state: State, agents: int) -> list[dict[str, np.ndarray]]:
+    """Return each agent's policy as `HappoLearner.export` gives it. Raises ValueError for a state without policies."""
+    found = []
+    for owner in actor_owners(state, agents):
+        named = {k.removeprefix(f"actor.{owner}."): v for k, v in state.items() if k.startswith(f"actor.{owner}.")}
+        found.append({name: array for name, array in named.items() if name != "observed"})
+    if len(found) != agents or not all(found):
+        raise ValueError(f"the state has no policies of {agents} agents")
+    return found
+
+
 def with_actor(state: State, i: int, given: State, j: int) -> dict[str, np.ndarray]:
     """Return the state with agent i's actor and its observation statistics taken from agent j of another learner.
 

@@ -11,11 +11,10 @@ from storage.records import Snapshot
 
 
 def card(league: Open, about: Mapping[str, Any], file: str, rated: Sequence[Ladder]) -> str:
-    """Return the card of a snapshot that was exported to a file, as Markdown; it has played on the ladders `rated`."""
-    snapshot = next(s for s in league.store.snapshots(league.league) if s.name == about["name"])
-    parts = [f"# {snapshot.name} of league {league.league}", _facts(about, file)]
+    """Return the card of an exported policy, as Markdown; it is a snapshot that has played on the ladders `rated`."""
+    parts = [f"# {about['name']} of league {league.league}", _facts(about, file)]
     for ladder in rated:
-        parts += _rated(league, ladder, snapshot)
+        parts += _rated(league, ladder, league.snapshot(about["name"]))
     if about["rating"] is None:
         parts.append("It has played no rating match.")
     return "\n\n".join(parts) + "\n"

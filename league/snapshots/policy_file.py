@@ -11,12 +11,14 @@ import math
 import struct
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from safetensors.numpy import save
 
+from agents.policy.skill_arrays import PREFIX
 from arenas import rosters
 from league.config.schema import ConfigError
 from league.queries.query import Open
@@ -72,6 +74,39 @@ def export(league: Open, name: str, rated: Sequence[Ladder] | None = None) -> Po
     except ValueError as error:
         raise StorageError(f"{name} is of a network that this version cannot export: {shortened(error)}.") from None
     return Policy(found, about(league, snapshot, agents, ladders(league, snapshot) if rated is None else rated))
+
+
+def export_checkpoint(league: Open, player: str) -> Policy | None:
+    """Return a player as its newest checkpoint has it; None if it has not learnt on since its newest snapshot.
+
+    Raises UnknownName for a name that is no player's, StorageError for a learner of a user's, whose checkpoint is its
+    own, and for damage.
+    """
+    from agents.learner.checkpoint import actors  # loads torch
+
+    store, players = league.store, {p.name: p for p in league.store.players(league.league)}
+    if player not in players:
+        raise UnknownName("player", player, [*players])
+    newest, done = league.snapshot(player), store.newest_checkpoints(league.league).get(player)
+    if done is None or newest.iteration == done.iteration:
+        return None
+    state, roster = arrays.from_bytes(store.blobs.get(done.digest)), players[player].roster
+    try:
+        policies = actors(state, len(rosters.roster_agents(roster)))
+        found = {f"{i}/{name}": array for i, policy in enumerate(policies) for name, array in policy.items()}
+        found |= {k.removeprefix(PREFIX): array for k, array in state.items() if k.startswith(PREFIX)}  # its skills
+        agents = agents_of(found, roster)
+    except ValueError as error:
+        raise StorageError(
+            f"the checkpoint of {player} is of a learner that this version cannot export ({shortened(error)}): take its"
+            f" newest snapshot, {newest.name}"
+        ) from None
+    snapshot = replace(
+        newest, name=f"{player}@{done.iteration}", digest=hashlib.sha256(arrays.to_bytes(found)).hexdigest(),
+        parent=newest.name, initial=False, arena=done.arena, step=done.step, iteration=done.iteration,
+        seconds=done.seconds, created=done.created,
+    )  # fmt: skip
+    return Policy(found, about(league, snapshot, agents, []))
 
 
 def about(

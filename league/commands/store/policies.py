@@ -9,6 +9,7 @@ from pathlib import Path
 from league.commands.options import STORE, Where, parse, positional, spelt
 from league.config.schema import ConfigError
 from league.config.sections import POLICY_FILE, check_name
+from league.queries.query import Open
 from league.snapshots import policy_file
 from league.snapshots.arena_transfer import describe_transfer, refitted
 from league.snapshots.exports import interface
@@ -16,6 +17,7 @@ from league.snapshots.exports.program_export import SUFFIX, Format, programs, st
 from league.snapshots.model_card import card
 from league.snapshots.programs import exporting
 from league.snapshots.programs.kinds import kind_of
+from matchmaking.ratings.ladder import Ladder
 from storage.blobs.files import new_file, require_file_name
 from storage.database.urls import display_location
 
@@ -26,6 +28,8 @@ class ExportOptions(Where):
 
     snapshot: str = positional()
     """The snapshot, such as blue@16, or a player, whose newest it is: `league snapshots` lists them."""
+    checkpoint: bool = False
+    """Take a player as its newest checkpoint has it, which may have learnt on since its newest snapshot."""
     output: str | None = None
     """The file to write, also as -o FILE; never over another one (none, with programs: the snapshot's name)."""
     onnx: bool = False
@@ -68,11 +72,11 @@ def export(args: list[str]) -> int:
     if not formats:
         _need(options.output, "-o FILE", "export")
     with options.open() as league:
-        if kept := exporting.files(league, options.snapshot, stem(Path(options.output or options.snapshot))):
+        written = stem(Path(options.output or options.snapshot))
+        if kept := {} if options.checkpoint else exporting.files(league, options.snapshot, written):
             return _export_program(options, league.snapshot(options.snapshot).name, kept)
         _require_format(options.output, formats)
-        rated = policy_file.ladders(league, league.snapshot(options.snapshot))
-        policy = policy_file.export(league, options.snapshot, rated)
+        policy, rated = _policy(options, league)
         path = Path(str(options.output)) if options.output else Path(f"{policy.about['name']}.safetensors")
         require_file_name(path)
         files = programs(policy, stem(path), formats)
@@ -93,6 +97,14 @@ def export(args: list[str]) -> int:
     beside = f", {', '.join(map(str, files))}" if files else ""
     print(f"Wrote {whose} to {path} ({len(data):,} bytes){beside}, card {page}.")
     return 0
+
+
+def _policy(options: ExportOptions, league: Open) -> tuple[policy_file.Policy, list[Ladder]]:
+    """Return the policy to write, and the ladders on which it has played."""
+    if options.checkpoint and (learnt_on := policy_file.export_checkpoint(league, options.snapshot)):
+        return learnt_on, []
+    rated = policy_file.ladders(league, league.snapshot(options.snapshot))
+    return policy_file.export(league, options.snapshot, rated), rated
 
 
 def _require_format(output: str | None, formats: Collection[Format]) -> None:

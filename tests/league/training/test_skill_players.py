@@ -134,6 +134,20 @@ def test_flat_and_skilled_players_meet_in_training_and_in_matches(store, arena, 
     assert [isinstance(match, Match) and match.wins + match.draws + match.losses for match in found] == [4, 4]
 
 
+def test_its_checkpoint_leaves_as_the_file_of_a_snapshot_would(store, arena, tmp_path):
+    config = settings()
+    config = replace(config, training=replace(config.training, snapshots_per_doubling=1))
+    frozen = arrays.from_bytes(turns(store, config, arena, 6).pool.freeze("blue"))  # the last turn has no snapshot
+    store.close()
+    with Open(Store.open(tmp_path / "store"), LEAGUE) as opened:
+        policy = policy_file.export_checkpoint(opened, "blue")
+        assert policy is not None
+        assert policy.about["name"] not in {s.name for s in opened.store.snapshots(LEAGUE)}
+    assert policy.arrays.keys() == frozen.keys()
+    for name, array in frozen.items():
+        np.testing.assert_array_equal(policy.arrays[name], array, err_msg=name)
+
+
 def test_it_leaves_as_a_file_and_comes_back(store, arena, tmp_path):
     turns(store, settings(), arena, 2)
     store.close()
