@@ -100,17 +100,20 @@ def test_alphastars_league_runs_and_says_how_it_stands(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "gae_lambda", "rollout_length"),
+    ("name", "gamma", "gae_lambda", "rollout_length", "shaping"),
     [
-        ("sumo-by-team", 0.95, 48), ("sumo-within-team", 0.98, 120), ("soccer-1v1", 0.99, 240),
-        ("soccer-2v2", 0.99, 240), ("galaga-1v1", 0.95, 48),
+        ("sumo-by-team", 0.995, 0.95, 48, 0), ("sumo-within-team", 0.995, 0.98, 120, 0),
+        ("soccer-1v1", 0.997, 0.99, 240, 60_000_000), ("soccer-2v2", 0.995, 0.99, 240, 0),
+        ("galaga-1v1", 0.995, 0.95, 48, 0),
     ],
 )  # fmt: skip
-def test_matches_of_harl_a_have_the_learner_with_which_its_figures_were_reached(name, gae_lambda, rollout_length):
+def test_matches_of_harl_a_have_the_learner_with_which_its_figures_were_reached(
+    name, gamma, gae_lambda, rollout_length, shaping
+):
     config = presets.preset(name)
     *alone, match = (configuration.stage(config, number) for number in range(len(config.stages)))
-    assert (match.learner.lr, match.learner.critic_lr, match.learner.gamma) == (3e-4, 1e-3, 0.995)
-    assert (match.training.rollout_length, match.training.shaping_duration) == (rollout_length, 0)
+    assert (match.learner.lr, match.learner.critic_lr, match.learner.gamma) == (3e-4, 1e-3, gamma)
+    assert (match.training.rollout_length, match.training.shaping_duration) == (rollout_length, shaping)
     assert match.learner.gae_lambda == gae_lambda
     assert {each.learner.gae_lambda for each in alone if not each.league.endswith("-far")} == {0.95}
     assert alone[0].learner == config.learner
