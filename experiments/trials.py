@@ -43,6 +43,7 @@ from league.scheduling.progress_metrics import score_against_initial
 from league.snapshots import policy_file
 from league.state.league_state import LeagueState
 from scripts.record import make_parser, run_info, split_arguments, write
+from storage.errors import StorageError
 from storage.records import CurvePoint
 from storage.store import Store
 
@@ -120,14 +121,22 @@ def rated(state: LeagueState, player: str) -> Iterator[dict[str, Any]]:
             yield {**about, **told, "n": found.games}
 
 
+def last_saved(opened: Open, player: str) -> policy_file.Policy | None:
+    """Return a player that has learnt on since its newest snapshot; None if it has not, or its learner is its own."""
+    try:
+        return policy_file.export_checkpoint(opened, player)
+    except StorageError as error:  # training is over, and its newest snapshot is there
+        print(error, flush=True)
+        return None
+
+
 def export(store: Store, name: str, folder: Path) -> dict[str, Any]:
     """Write the newest and the first policy of every player of a league into a folder; return what JSON has of it."""
     opened, state, found = Open(store, name), LeagueState.of(store, name), {}
     for player in state.players:
         history = state.history(player.name)
         folder.mkdir(parents=True, exist_ok=True)
-        newest = policy_file.export_checkpoint(opened, player.name)  # it may have learnt on since its last snapshot
-        newest = newest or policy_file.export(opened, history[-1].name, [])
+        newest = last_saved(opened, player.name) or policy_file.export(opened, history[-1].name, [])
         for ending, policy in (("", newest), ("-0", policy_file.export(opened, history[0].name, []))):
             (folder / f"{player.name}{ending}.safetensors").write_bytes(policy.to_bytes())
         found[player.name] = {

@@ -1,4 +1,4 @@
-"""What `league run` says once, when a league begins."""
+"""Lines that `league run` prints once, when a league begins."""
 
 from league.commands.run import background
 from league.config.experiment import Config
