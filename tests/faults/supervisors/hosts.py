@@ -5,8 +5,11 @@
 
 Needs root and `ip` (Debian's package `iproute2`), and with `cuda` two GPUs, one for each host. Ranks have the variables
 of torchrun. NCCL takes processes of one machine for one host, so NCCL_HOSTID says otherwise: its messages then go
-through sockets, which the result shows (`transports`). `difference` is the largest one of a parameter of the newest
-snapshots, compared with ranks that the league's own worker starts on one host. Exit code 1 if it is above 1e-5.
+through sockets, which the result shows (`transports`). With `--loopback` both hosts share the machine's network, where
+namespaces are refused: they differ for NCCL alone. `difference` is the largest one of a parameter of the newest
+snapshots (`of`), compared with ranks that the league's own worker starts on one host; `one host` has that of such ranks
+in other trainings: a second one, and one whose messages go through sockets too. Exit code 1 if that of a case is above
+1e-5.
 """
 
 import json
@@ -19,9 +22,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from safetensors.numpy import load
@@ -43,13 +46,29 @@ FLAGS = (
 ADDRESSES = ("10.77.0.1", "10.77.0.2")
 
 
+class Host(NamedTuple):
+    """A network namespace that stands for a host, or the machine itself."""
+
+    address: str
+    interface: str
+    namespace: str = ""
+
+    @property
+    def prefix(self) -> tuple[str, ...]:
+        """The beginning of a command that runs there."""
+        return ("ip", "netns", "exec", self.namespace) if self.namespace else ()
+
+
+LOOPBACK = (Host("127.0.0.1", "lo"), Host("127.0.0.1", "lo"))
+
+
 def ip(*words: str) -> bool:
     """Run `ip`; return whether it succeeded."""
     return subprocess.run(["ip", *words], capture_output=True, check=False).returncode == 0
 
 
 @contextmanager
-def namespaces() -> Iterator[tuple[str, str] | None]:
+def namespaces() -> Iterator[tuple[Host, ...] | None]:
     """Make two network namespaces with a line, v0 to v1, between `ADDRESSES`; yield None where that is refused."""
     names = (f"league{os.getpid()}a", f"league{os.getpid()}b")
     try:
@@ -57,30 +76,29 @@ def namespaces() -> Iterator[tuple[str, str] | None]:
         if not made or not ip("link", "add", "v0", "netns", names[0], "type", "veth", "peer", "v1", "netns", names[1]):
             yield None
             return
-        for number, (name, address) in enumerate(zip(names, ADDRESSES, strict=True)):
+        hosts = tuple(
+            Host(address, f"v{number}", name)
+            for number, (name, address) in enumerate(zip(names, ADDRESSES, strict=True))
+        )
+        for host in hosts:
             for command in (
-                ("addr", "add", f"{address}/24", "dev", f"v{number}"),
-                ("link", "set", f"v{number}", "up"),
+                ("addr", "add", f"{host.address}/24", "dev", host.interface),
+                ("link", "set", host.interface, "up"),
                 ("link", "set", "lo", "up"),
             ):
-                if not ip("-n", name, *command):
-                    raise OSError(f"ip -n {name} {' '.join(command)} failed")
-        yield names
+                if not ip("-n", host.namespace, *command):
+                    raise OSError(f"ip -n {host.namespace} {' '.join(command)} failed")
+        yield hosts
     finally:
         if shutil.which("ip") is not None:
             for name in names:
                 ip("netns", "del", name)
 
 
-def inside(name: str) -> tuple[str, ...]:
-    """Return the beginning of a command that runs in a namespace."""
-    return ("ip", "netns", "exec", name)
-
-
 class Case:
     """A league in a folder of its own, whose manager has no train workers."""
 
-    def __init__(self, folder: Path, device: str, hosts: tuple[str, str]):
+    def __init__(self, folder: Path, device: str, hosts: tuple[Host, ...]):
         self.folder, self.device, self.hosts, self.port = folder, device, hosts, free_port()
         folder.mkdir()
         self.manager = self.start("run", *FLAGS, "--training.device", device, "--workers", "0")
@@ -95,17 +113,18 @@ class Case:
         """Start a rank on each host."""
         return [
             self.start(
-                "worker", "--ranks", "--wait", "--league", LEAGUE, prefix=inside(name), RANK=str(rank), WORLD_SIZE="2",
-                LOCAL_RANK="0", MASTER_ADDR=ADDRESSES[0], MASTER_PORT=str(self.port), **self.own(rank),
+                "worker", "--ranks", "--wait", "--league", LEAGUE, prefix=host.prefix, RANK=str(rank), WORLD_SIZE="2",
+                LOCAL_RANK="0", MASTER_ADDR=self.hosts[0].address, MASTER_PORT=str(self.port), **self.own(rank),
             )
-            for rank, name in enumerate(self.hosts)
+            for rank, host in enumerate(self.hosts)
         ]  # fmt: skip
 
     def own(self, rank: int) -> dict[str, str]:
         """Return what a host has of its own: a GPU, a name, and the network to the other one."""
+        interface = self.hosts[rank].interface
         if self.device == "cpu":
-            return {"GLOO_SOCKET_IFNAME": f"v{rank}"}
-        network = {"NCCL_SOCKET_IFNAME": f"v{rank}", "NCCL_HOSTID": f"host{rank}", "NCCL_IB_DISABLE": "1"}
+            return {"GLOO_SOCKET_IFNAME": interface}
+        network = {"NCCL_SOCKET_IFNAME": interface, "NCCL_HOSTID": f"host{rank}", "NCCL_IB_DISABLE": "1"}
         return {"CUDA_VISIBLE_DEVICES": str(rank), "NCCL_DEBUG": "INFO", **network}
 
     def learning(self) -> None:
@@ -128,10 +147,11 @@ class Case:
         """Return the end of what its processes said."""
         return (self.folder / "out.txt").read_text(errors="replace")[-3000:]
 
-    def transports(self) -> list[str]:
-        """Return the ways by which NCCL's messages went."""
+    def learnt(self) -> dict[str, Any]:
+        """Return the ways by which NCCL's messages went, and whether updates were CUDA graphs."""
         text = (self.folder / "out.txt").read_text(errors="replace")
-        return sorted(set(re.findall(r"via (\w+(?:/\w+)?)", text)))
+        ways = sorted(set(re.findall(r"via (\w+(?:/\w+)?)", text)))
+        return {"transports": ways, "graphs": self.device == "cuda" and "without CUDA graphs" not in text}
 
 
 def undisturbed(case: Case) -> dict[str, Any]:
@@ -154,6 +174,10 @@ def host_killed(case: Case) -> dict[str, Any]:
         return {"turns done again": sum(job.failures for job in store.jobs(LEAGUE))}
 
 
+CONTROLS: dict[str, dict[str, dict[str, str]]] = {
+    "cpu": {"again": {}},
+    "cuda": {"again": {}, "sockets": {"NCCL_P2P_DISABLE": "1", "NCCL_SHM_DISABLE": "1", "NCCL_IB_DISABLE": "1"}},
+}
 CASES: dict[str, Callable[[Case], dict[str, Any]]] = {"undisturbed": undisturbed, "host killed": host_killed}
 
 
@@ -171,15 +195,20 @@ def parameters(folder: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def difference(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> float:
-    """Return the largest difference of a parameter. Raises Lost if they are not the same parameters."""
+def difference(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return the largest `difference` of a parameter, and `of` which. Raises Lost if parameters are missing."""
     if one.keys() != other.keys():
         raise Lost(f"parameters differ: {sorted(one.keys() ^ other.keys())}")
-    return max(float(np.abs(one[name].astype(np.float64) - other[name]).max()) for name in one if one[name].size)
+    found = {name: float(np.abs(one[name].astype(np.float64) - other[name]).max()) for name in one if one[name].size}
+    name = max(found, key=found.__getitem__)
+    return {"difference": found[name], "of": name}
 
 
-def on_one_host(folder: Path, device: str) -> dict[str, np.ndarray]:
-    """Return the parameters that two ranks of one host learn, which the league's own worker starts."""
+def on_one_host(folder: Path, device: str, **variables: str) -> dict[str, np.ndarray]:
+    """Return the parameters that two ranks of one host learn, which the league's own worker starts.
+
+    `variables` are of the league's environment, beside this process's own.
+    """
     line = [
         sys.executable,
         "-m",
@@ -192,7 +221,8 @@ def on_one_host(folder: Path, device: str) -> dict[str, np.ndarray]:
         str(folder / "store"),
     ]
     folder.mkdir()
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    environment = {**os.environ, **variables}
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
         raise Lost(f"one host alone: exit code {done.returncode}:\n{done.stderr[-3000:]}")
     return parameters(folder)
@@ -202,13 +232,20 @@ def main() -> int:
     """Run the cases; return 1 if anything was lost or differs."""
     parser = make_parser(__doc__)
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--loopback", action="store_true", help="both hosts share this machine's network")
     args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="hosts-"))
-    with namespaces() as hosts:
+    with nullcontext(LOOPBACK) if args.loopback else namespaces() as hosts:
         if hosts is None:
-            sys.exit("network namespaces need root, `ip` and permission")
+            sys.exit("network namespaces need root, `ip` and permission; --loopback does without")
         expected = on_one_host(folder / "one", args.device)
-        result = {**run_info(args.commit), "device": args.device, "iterations": ITERATIONS, "cases": {}}
+        network = "loopback" if args.loopback else "namespaces"
+        about = {"device": args.device, "network": network, "iterations": ITERATIONS}
+        result = {**run_info(args.commit), **about, "one host": {}, "cases": {}}
+        for name, variables in CONTROLS[args.device].items():
+            found = difference(on_one_host(folder / name, args.device, **variables), expected)
+            result["one host"][name] = found
+            print(f"one host, {name}: {json.dumps(found)}", flush=True)
         for name, run in CASES.items():
             began, case = time.monotonic(), Case(folder / name.replace(" ", "-"), args.device, hosts)
             try:
@@ -216,7 +253,7 @@ def main() -> int:
                 case.ended([case.manager], [0])
             finally:
                 case.manager.kill()
-            counts |= {"transports": case.transports(), "difference": difference(parameters(case.folder), expected)}
+            counts |= {**case.learnt(), **difference(parameters(case.folder), expected)}
             result["cases"][name] = counts
             print(f"{name}: {json.dumps(counts)}, {time.monotonic() - began:.0f} s", flush=True)
     if args.out is not None:

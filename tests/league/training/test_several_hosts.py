@@ -19,7 +19,7 @@ from league.training.data_parallel.rank_watch import RankWatch
 from league.training.data_parallel.several_hosts import Ranks
 from storage.store import Store
 from tests.faults.servers import free_port
-from tests.faults.supervisors.hosts import ADDRESSES, inside, ip, namespaces
+from tests.faults.supervisors.hosts import Host, ip, namespaces
 from tests.league.conftest import ENVIRONMENT, call, command, start, wait_for
 from tests.league.training.test_data_parallel import LEAGUE, Seat, children, spoil
 
@@ -340,12 +340,12 @@ def test_numbers_that_do_not_fit_and_ranks_that_do_not_come_are_told_in_a_line(t
 
 
 @pytest.fixture
-def hosts() -> Iterator[tuple[str, str]]:
+def hosts() -> Iterator[tuple[Host, ...]]:
     """Two network namespaces with a line between them."""
-    with namespaces() as names:
-        if names is None:
+    with namespaces() as made:
+        if made is None:
             pytest.skip("network namespaces need permission")
-        yield names
+        yield made
 
 
 @pytest.mark.slow
@@ -353,10 +353,10 @@ def test_two_hosts_train_what_one_trains(undisturbed, hosts, tmp_path):
     runners = []
     with managed(tmp_path, *SHORT) as manager:
         try:
-            for number, name in enumerate(hosts):
-                where = ("--master-addr", ADDRESSES[0], "--master-port", "29500")
+            for number, host in enumerate(hosts):
+                where = ("--master-addr", hosts[0].address, "--master-port", "29500")
                 how = ("--nnodes", "2", "--node-rank", str(number), "--nproc-per-node", "1", *where)
-                runners.append(torchrun(tmp_path, f"host{number}", *how, prefix=inside(name)))
+                runners.append(torchrun(tmp_path, f"host{number}", *how, prefix=host.prefix))
             assert codes(runners) == [0, 0], (tmp_path / "host0.txt").read_text()
         finally:
             for runner in runners:
@@ -370,10 +370,10 @@ def test_a_host_that_vanishes_ends_the_turn_on_both(hosts, tmp_path):
     """No connection is closed: it takes as long as a lease until either side knows."""
     with (
         managed(tmp_path, *ENDLESS, "--workers.lease", "10"),
-        ranks(tmp_path, 0, 1, address=ADDRESSES[0], prefix=lambda rank: inside(hosts[rank])) as both,
+        ranks(tmp_path, 0, 1, address=hosts[0].address, prefix=lambda rank: hosts[rank].prefix) as both,
     ):
         learning(tmp_path)
-        assert ip("-n", hosts[1], "link", "set", "v1", "down")
+        assert ip("-n", hosts[1].namespace, "link", "set", hosts[1].interface, "down")
         assert codes(both) == [75, 75], said(tmp_path, 0) + said(tmp_path, 1)
         assert "rank 1 of 2 was silent for 10 s" in said(tmp_path, 0)
         with Store.open(tmp_path / "league-data") as store:
