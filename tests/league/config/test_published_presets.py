@@ -104,7 +104,7 @@ def test_alphastars_league_runs_and_says_how_it_stands(tmp_path, capsys):
     [
         ("sumo-by-team", 0.995, 0.95, 48, 0), ("sumo-within-team", 0.995, 0.98, 120, 0),
         ("soccer-1v1", 0.997, 0.99, 240, 60_000_000), ("soccer-2v2", 0.995, 0.99, 240, 0),
-        ("galaga-1v1", 0.995, 0.95, 48, 0),
+        ("galaga-1v1", 0.995, 0.95, 48, 0), ("galaga-2v2", 0.995, 0.95, 48, 0),
     ],
 )  # fmt: skip
 def test_matches_of_harl_a_have_the_learner_with_which_its_figures_were_reached(
@@ -135,4 +135,14 @@ def test_galaga_of_one_begins_before_the_tank_aims_well_and_plays_a_history_in_s
     assert match.arena.rich
     assert (match.training.opponents.kind, match.training.opponents.past) == ("uniform", 0.5)
     assert (match.training.schedule.kind, match.training.schedule.until_score) == ("leapfrog", 0.8)
-    assert not configuration.stage(presets.preset("galaga-2v2"), 2).arena.rich
+
+
+def test_galaga_of_two_learns_together_from_even_starts_by_a_narrow_ray():
+    config = presets.preset("galaga-2v2")
+    aim, fly, match = (configuration.stage(config, number) for number in range(3))
+    assert (aim.budget.steps, aim.budget.success) == (1_500_000, None)
+    assert aim.arena.buffer == fly.arena.buffer == match.arena.buffer == 14
+    assert match.arena.rich
+    assert match.arena.rules.ray == 0.5
+    assert (match.training.opponents.kind, match.training.opponents.past) == ("uniform", 0.5)
+    assert match.training.schedule.kind == "simultaneous"
