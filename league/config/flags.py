@@ -151,9 +151,16 @@ def unknown(key: Key, options: Iterable[str]) -> ConfigError:
     """Return the error for an unknown flag, with similar flags as a suggestion."""
     names = list(options)
     near = [name for name in names if name.rpartition(".")[2] == key[-1]]  # without its table, or in a wrong table
+    near = near or [name for name in names if _in_table_with(name, key)]  # budget.time: budget.training_time
     near = near or difflib.get_close_matches(".".join(key), names, 1)
     meant = f"did you mean {' or '.join(map(_spelled, near))}? " if near else ""
     return ConfigError(key, f"unknown option {_spelled(dotted(key))}: {meant}(--help lists all)")
+
+
+def _in_table_with(name: str, key: Key) -> bool:
+    """Return whether a flag lies in the table of `key` and has its last word among its own words."""
+    table, _, last = name.rpartition(".")
+    return table == ".".join(key[:-1]) and key[-1] in last.split("_")
 
 
 def every(cls: type, base: Any, prefix: Key = ()) -> Iterator[Key]:

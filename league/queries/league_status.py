@@ -53,8 +53,11 @@ class LeagueStatus:
 
     @property
     def jobs(self) -> str:
-        """The jobs, counted, in a line."""
-        return ", ".join(f"{n:,} {STATES[state]}" for state, n in self.counts.items())
+        """The jobs, counted, in a line; those of a process that was killed are not being worked on."""
+        words = dict(STATES)
+        if not self.runs and not self.workers:
+            words["leased"] = "left by a process that is gone, done again by the next 'league run'"
+        return ", ".join(f"{n:,} {words[state]}" for state, n in self.counts.items())
 
 
 def gather_status(opened: Open, whole_errors: bool = False, state: LeagueState | None = None) -> LeagueStatus:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,7 +109,10 @@ class OwnLearner:
         see, because it had its first value. Raises PlayerDiverged then.
         """
         with self._blamed("save"):
-            found = {f"{PREFIX}{name}": _array(value) for name, value in self._learner.save().items()}
+            saved = self._learner.save()
+            if nested := [name for name, value in saved.items() if isinstance(value, Mapping)]:
+                raise TypeError(f"array {nested[0]!r} is a dict: give one flat dict, with names such as 'adam/0/step'")
+            found = {f"{PREFIX}{name}": _array(value) for name, value in saved.items()}
             try:
                 arrays.to_bytes(found)
             except StorageError as error:
@@ -251,10 +255,17 @@ def _find(where: str) -> Callable[..., Any]:
     file, _, name = where.rpartition(":")
     if not Path(file).is_file():
         raise ArenaError(f"there is no file {file}")
-    found = getattr(python_file(Path(file)), name, None)
+    module = python_file(Path(file))
+    found = getattr(module, name, None)
     if not isinstance(found, type):
-        raise ArenaError(f"{file} has no class {name}")
+        raise ArenaError(f"there is no such class; {_classes(module)}")
     return found
+
+
+def _classes(module: ModuleType) -> str:
+    """Return the words for the classes that a file itself defines."""
+    own = [n for n, value in vars(module).items() if isinstance(value, type) and value.__module__ == module.__name__]
+    return f"there is: {', '.join(own)}" if own else "the file defines no class"
 
 
 def _array(value: Any) -> np.ndarray:

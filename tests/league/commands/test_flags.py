@@ -138,6 +138,10 @@ def test_a_switch_is_turned_off_in_every_way(off):
         ),
         (("--deatch", "l.toml"), "unknown option --deatch: did you mean --detach?"),
         (("--worlds", "9"), "unknown option --worlds: did you mean --training.worlds or --rating.worlds?"),
+        (
+            ("--budget.time", "30s"),
+            "unknown option --budget.time: did you mean --budget.training-time or --budget.rating-time?",
+        ),
         (("-d",), "unknown option -d"),
         (("l.toml", "m.toml"), "what is 'm.toml'?"),
         (("--learner.architecture.hidden", "64", "32"), "cannot read 32"),

@@ -218,8 +218,9 @@ def test_a_learner_that_fails_is_one_line_and_a_setback_like_any_other(store, ga
 
 @pytest.mark.parametrize(("text", "own", "line"), [
     (None, {}, r"learner\.class: blue failed: .*mine\.py:Mine: there is no file"),
-    ("Mine = 3", {}, "has no class Mine"),
+    ("Mine = 3", {}, "there is no such class; the file defines no class"),
     ("class Mine(Reinforce):\n    export = None", {}, "has no method export: a learner has learn, save, load, export"),
+    ("class Yours(Reinforce):\n    pass", {}, r"there is no such class; there is: Yours$"),
     ("Mine = Reinforce", {"rate": 0.1}, "ValueError: settings: rate is none of lr, gamma, hidden"),
     ("class Mine(Reinforce):\n    def export(self):\n        return [{'weight': np.zeros(3)}]", {},
      r"\.export: the state dict of agent 0 is not that of an Actor: agent 0 has no parameter activation"),
@@ -231,6 +232,8 @@ def test_a_learner_that_fails_is_one_line_and_a_setback_like_any_other(store, ga
      r"\.load: afterwards `save` gives something else"),
     ("class Mine(Reinforce):\n    def save(self):\n        return {'name': 'text'}", {},
      r"\.save: TypeError: Array 'name' has type"),
+    ("class Mine(Reinforce):\n    def save(self):\n        return {'adam': {'step': 1}}", {},
+     r"\.save: TypeError: array 'adam' is a dict: give one flat dict"),
     ("class Mine(Reinforce):\n    def act(self):\n        return [lambda *seen: np.zeros((3, 7))]", {},
      r"\.act: for observations of zeros its function of agent 0 returned actions of shape \(3, 7\)"),
 ])  # fmt: skip

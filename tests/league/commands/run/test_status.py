@@ -60,6 +60,14 @@ def test_a_league_that_nobody_manages_is_stopped(opened):
     assert doing(opened) == {"blue": "stopped", "red": "stopped"}
 
 
+def test_work_that_a_killed_process_left_is_not_being_worked_on(opened):
+    opened.store.queue([Job("cup", "train", "turn:9")])
+    assert opened.store.claim("cup", ["train"], "w:1:1", 60) is not None
+    assert "1 left by a process that is gone, done again by the next 'league run'" in words(opened)
+    opened.store.acquire_leadership("cup", ALIVE, 60)
+    assert "1 being worked on" in words(opened)
+
+
 def test_a_league_is_stopped_once_its_managers_process_is_gone_or_its_lease_is_over(opened, dead):
     opened.store.acquire_leadership("cup", ALIVE, 60)
     assert words(opened).startswith(f"League cup: running, managed by {ALIVE}")
