@@ -80,7 +80,7 @@ def _all_about(name: str, given: flags.Given, format: Literal["table", "json"]) 
     if format == "json":
         import json
 
-        return json.dumps(arena_info.as_json(sheet), indent=2)
+        return json.dumps(arena_info.as_json(sheet), indent=2, default=dict)  # tables of a setting
     blocks = [
         f"{name}: {sheet.outline.what}",
         render(arena_info.team_rows(sheet)),

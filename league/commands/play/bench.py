@@ -104,11 +104,15 @@ def _measure(task: Task, options: BenchOptions) -> int:
         name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against,
         attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),
     )  # fmt: skip
-    with Progress("league bench") as progress:
-        content = evaluate(
-            task, options.entry, request, lambda done, of: progress.tell("games", done, of),
-            lambda line: print(f"league bench: {line}", file=sys.stderr),
-        )  # fmt: skip
+    try:
+        with Progress("league bench") as progress:
+            content = evaluate(
+                task, options.entry, request, lambda done, of: progress.tell("games", done, of),
+                lambda line: print(f"league bench: {line}", file=sys.stderr),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        print("league bench: stopped; nothing was written, and the same command plays all games anew", file=sys.stderr)
+        raise
     entry_file.write(path, content)
     print(_result(task, content))
     print(f"Wrote {path}.")
@@ -128,7 +132,7 @@ def _curve(file: str | None) -> tuple[tuple[float, str], ...]:
             time = -1.0
         if not (comma and policy.strip() and 0 <= time < float("inf")):
             raise ConfigError(
-                ("curve",), f"{file}, line {number}: {line[:80]!r} is not SECONDS,FILE, such as 60,a.onnx"
+                ("curve",), f"{file}, line {number}: {line[:80]!r} is not SECONDS,FILE, such as 60,a.onnx (no header)"
             )
         found.append((time, policy.strip()))
     return tuple(found)
@@ -157,15 +161,15 @@ def _all_about(task: Task) -> str:
     if task.lacks:
         lines.append(f"Missing: {task.lacks}.")
     wanted = "FILE" if task.alike else " ".join(f"{team}=FILE" for team in task.teams)
-    lines.append(
-        f"league arenas {task.arena} tells what robots see and do. Enter: league bench {task.name} --entry {wanted}"
-    )
+    taken = "It takes files of `league export`, no programs. " if task.exact else ""
+    lines.append(f"What robots see and do: {task.arena_command}")
+    lines.append(f"{taken}Enter: league bench {task.name} --entry {wanted}")
     return "\n\n".join(lines)
 
 
 def _result(task: Task, content: dict[str, Any]) -> str:
     """Describe an entry's metrics."""
-    found = content["metrics"]
+    lines, found = [f"Entry {content['name']} of {task.name}:"], content["metrics"]
     names = {each["name"]: f"{each['name']} ({', '.join(each['files'])})" for each in content["policies"]}
     if task.exact:
         return "\n".join(
@@ -173,7 +177,6 @@ def _result(task: Task, content: dict[str, Any]) -> str:
             f" {each['nash_conv']:.6f}."
             for each in found["policies"]
         )
-    lines = []
     for each in found["policies"]:
         name, rating, worst = names[each["name"]], each["rating"], each["worst"]
         lines.append(

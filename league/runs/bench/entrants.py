@@ -93,7 +93,11 @@ def _side(task: Task, word: str) -> tuple[str, str]:
         return (task.teams[0] if task.alike else team), file
     if not task.alike:
         wanted = " ".join(f"{each}=FILE" for each in task.teams)
+        if equals and not Path(word).exists():
+            raise ConfigError(("entry",), f"{word}: {task.name} has no side {team!r}, and takes --entry {wanted}")
         raise ConfigError(("entry",), f"{word} does not name its side: {task.name} takes --entry {wanted}")
+    if equals and team.isidentifier() and not Path(word.partition(",")[0]).exists():
+        raise ConfigError(("entry",), f"{word}: the sides of {task.name} are alike; give --entry FILE, no {team}=")
     return task.teams[0], word
 
 

@@ -1,6 +1,7 @@
 """Ratings computed again from the rows of entries: the check of a pull request."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from league.runs.bench import references, tasks
 from league.runs.bench.entry_file import EntryError
 from league.runs.bench.evaluation import measured
 from league.runs.bench.references import ReferenceSet
+from storage.errors import StorageError
 
 CLOSE = {"elo": 0.05, "low": 0.05, "high": 0.05}
 """Differences in Elo that floating-point numbers of another machine may make; all other numbers differ by `TINY`."""
@@ -21,6 +23,8 @@ def again(content: Mapping[str, Any], known: ReferenceSet) -> dict[str, Any]:
     try:
         names = [each["name"] for each in content["policies"]]
         return measured(task, names, content["rows"], content["attacks"], content["curve"], known)
+    except StorageError as error:
+        raise EntryError(f"Entry {content['name']}: {error}") from None
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise EntryError(f"The rows of entry {content['name']} are damaged: {type(error).__name__} {error}.") from None
 
@@ -33,7 +37,34 @@ def differences(content: Mapping[str, Any]) -> list[str]:
     if (known := references_of(content)) is None:
         return ["it met references that this version does not know: run `league bench` again"]
     found = again(content, known)
-    return [line for key in found for line in _unlike(key, content["metrics"].get(key), found[key])]
+    lines = [line for key in found for line in _unlike(key, content["metrics"].get(key), found[key])]
+    return [*_unlike_games(content, known), *lines]
+
+
+def _unlike_games(content: Mapping[str, Any], known: ReferenceSet) -> Iterator[str]:
+    """Yield a line if the rows have another number of games than `games`, and one if `trial` is wrong.
+
+    Games of references against each other and of attackers are none of either.
+    """
+    task, seed = tasks.find(content["task"]), content.get("seed")
+    if task.exact:
+        return
+    teams = {each["name"]: each["name"].partition(":")[2] for each in content["policies"]}
+    counts: Counter[tuple[str, str]] = Counter()
+    for row in content["rows"]:
+        if row["a"] in teams:
+            counts[row["a"], row["b"]] += sum(row["results"]) + row["voids"]
+    if played := {number for number in counts.values() if number != content["games"]}:
+        yield f"games is {content['games']!r}, and the rows have {min(played)} of a pair"
+    missing = any(
+        (name, each.name) not in counts
+        for name, team in teams.items()
+        for each in known.references
+        if task.alike or each.team != team
+    )
+    trial = missing or seed != task.seed or min(counts.values(), default=0) < tasks.GAMES
+    if trial != content["trial"]:
+        yield f"trial is {content['trial']!r}, and its rows, references and seed make it {trial!r}"
 
 
 def references_of(content: Mapping[str, Any]) -> ReferenceSet | None:
@@ -63,7 +94,12 @@ def _unlike(where: str, told: Any, found: Any) -> Iterator[str]:
         for i, (one, other) in enumerate(zip(told, found, strict=True)):
             yield from _unlike(f"{where}[{i}]", one, other)
     elif not _close(where, told, found):
-        yield f"{where} is {told!r}, and the rows give {found!r}"
+        yield f"{where} is {_short(told)}, and the rows give {_short(found)}"
+
+
+def _short(value: Any) -> str:
+    """Return a value as text, and lists by their lengths."""
+    return f"a list of {len(value)}" if isinstance(value, list) else repr(value)
 
 
 def _close(where: str, told: Any, found: Any) -> bool:

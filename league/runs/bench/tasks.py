@@ -54,6 +54,12 @@ class Task:
         """Return the seed of records, from which the seeds of all games are derived."""
         return crc32(self.name.encode())
 
+    @property
+    def arena_command(self) -> str:
+        """Return the command that describes the task's arena, with the settings in which it differs from its own."""
+        flags = "".join(f" --{'.'.join(key)} {value}" for key, value in self.settings.items())
+        return f"league arenas {self.arena}{flags}"
+
     def config(self) -> Config:
         """Return the settings of a league in the task's arena, on the C engine."""
         return change(default(self.arena), {("engine",): "c", **self.settings})

@@ -61,14 +61,14 @@ def own_copy(policy: Callable[..., Any]) -> Callable[..., Any]:
 def maker(policy: Callable[..., Any], agent: AgentSizes, name: str) -> tuple[Callable[[], Actor], str]:
     """Return a function that makes actors of a callable, and how it is called: batched, or single.
 
-    It is tried on zeros. Raises ProgramError if it takes neither a batch nor one observation.
+    It is tried on a few observations. Raises ProgramError if it takes neither a batch nor one observation.
     """
     faults = []
     shape = (3, agent.action)
     for how, kind in (("batched", BatchedCallable), ("single", SingleCallable)):
         make = partial(kind, policy)
         try:
-            trial = make()(np.zeros((3, agent.observation), np.float32), np.zeros(shape, np.float32), np.ones(3, bool))
+            trial = make()(*agent.trial(3), np.ones(3, bool))
         except Exception as error:  # a stranger's code
             faults.append(f"{type(error).__name__}: {' '.join(str(error).split())[:150]}")
             continue

@@ -28,6 +28,14 @@ class AgentSizes(NamedTuple):
     observation: int  # numbers in its observation
     action: int  # numbers in its action
 
+    def trial(self, worlds: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return standard normal observations (worlds, obs), the same ones each time, and zeros as noise (worlds, act).
+
+        Zeros are no observations of a game: a policy that divides by a distance would fail there.
+        """
+        seen = np.random.default_rng(0).standard_normal((worlds, self.observation), np.float32)
+        return seen, np.zeros((worlds, self.action), np.float32)
+
 
 @dataclass(frozen=True)
 class Model:

@@ -27,7 +27,7 @@ ZIP = b"PK\x03\x04"  # the first bytes of a TorchScript file
 
 @dataclass(frozen=True)
 class Program:
-    """A policy as a program for each agent of a roster, checked: each has acted on zeros.
+    """A policy as a program for each agent of a roster, checked: each has acted on a few observations.
 
     `how` tells how it is called: batched, or single, one world at a time. `seconds` is the time of one decision of all
     its agents in TIMED worlds.
@@ -110,7 +110,7 @@ def reporter(name: str, agent: int, report: Callable[[str], None] | None = None)
 
 
 def _tried(kind: str, file: tuple[str, bytes], agent: AgentSizes) -> dict[str, Any]:
-    """Try a program on zeros; return how it is called, and for a Python callable its file's digest.
+    """Try a program on a few observations; return how it is called, and for a Python callable its file's digest.
 
     Raises ProgramError unless it returns finite actions of the right shape.
     """
@@ -134,20 +134,23 @@ def _tried(kind: str, file: tuple[str, bytes], agent: AgentSizes) -> dict[str, A
 
 
 def _trial(actor: Actor, name: str, agent: AgentSizes) -> None:
-    seen, noise = np.zeros((TRIAL, agent.observation), np.float32), np.zeros((TRIAL, agent.action), np.float32)
+    seen, noise = agent.trial(TRIAL)
     for begins in (True, False):
         try:
             found = np.asarray(actor(seen, noise, np.full(TRIAL, begins)))
         except Exception as error:  # a stranger's code
             reason = " ".join(str(error).split())[:200]
-            raise ProgramError(f"{name}: observations of zeros raise {type(error).__name__}: {reason}") from None
+            raise ProgramError(f"{name}: standard normal observations raise {type(error).__name__}: {reason}") from None
         if found.shape != (TRIAL, agent.action):
             raise ProgramError(
                 f"{name}: {TRIAL} observations give actions of shape {found.shape}, and a {agent.kind} of this team"
                 f" acts with {agent.action} numbers: ({TRIAL}, {agent.action})"
             )
         if found.dtype.kind not in "fiu" or not np.isfinite(found).all():
-            raise ProgramError(f"{name}: observations of zeros give actions that are not finite numbers")
+            raise ProgramError(
+                f"{name}: standard normal observations give actions that are not finite numbers; clip what it divides"
+                " by, and what it takes roots and logarithms of"
+            )
 
 
 def parameters(program: Program) -> int:
@@ -204,7 +207,7 @@ def _timed(program: Program) -> float:
     for begins in (True, False, False):
         began = time.perf_counter()
         for i, (policy, agent) in enumerate(zip(policies, program.agents, strict=True)):
-            seen, noise = (np.zeros((TIMED, agent[size]), np.float32) for size in ("observation", "action"))
+            seen, noise = AgentSizes(agent["kind"], agent["observation"], agent["action"]).trial(TIMED)
             policy.act(str(i), 0, seen, noise, np.full(TIMED, begins))
         times.append(time.perf_counter() - began)
     return min(times)

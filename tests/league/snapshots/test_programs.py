@@ -24,7 +24,7 @@ from league.queries.query import Open
 from league.runtime.bootstrap import create
 from league.snapshots.codec import freeze, thaw
 from league.snapshots.programs import callables, exporting
-from league.snapshots.programs.model import AgentSizes, Model, ModelActor
+from league.snapshots.programs.model import AgentSizes, Model, ModelActor, ProgramError
 from league.snapshots.programs.stored import host_policies, of_bytes, parameters, read
 from league.state.jobs import RatingMatch
 from storage.errors import StorageError
@@ -211,6 +211,17 @@ def test_bytes_are_never_completed_by_a_file_of_the_working_folder(tmp_path, mon
     onnx.save(model, "p.onnx", save_as_external_data=True, location="p.onnx.data", size_threshold=0)
     with pytest.raises(StorageError, match="save the weights in the file itself"):
         of_bytes([("p.onnx", (tmp_path / "p.onnx").read_bytes())], ROSTER)
+
+
+def test_a_policy_that_divides_by_what_it_sees_is_taken_and_one_that_is_never_finite_is_not(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "import numpy as np\n\n"
+        "def distance(seen):\n    return np.tile(1.0 / seen, (1, 3))\n\n"
+        "def never(seen):\n    return np.full((len(seen), 3), np.nan)\n"
+    )
+    assert read("python", [f"{tmp_path}/own.py:distance"], ROSTER).kind == "python"
+    with pytest.raises(ProgramError, match="give actions that are not finite numbers; clip what it divides by"):
+        read("python", [f"{tmp_path}/own.py:never"], ROSTER)
 
 
 @pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")

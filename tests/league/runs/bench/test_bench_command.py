@@ -86,6 +86,31 @@ def test_a_forged_entry_is_noticed_by_its_rows(entry, tmp_path, capsys):
     assert (code, err.count("\n"), "contradicts itself" in err) == (2, 1, True)
 
 
+@pytest.mark.parametrize(("key", "value"), [("trial", False), ("games", 2048)])
+def test_a_trial_that_was_forged_into_a_record_is_noticed(key, value, entry, tmp_path, capsys):
+    content = json.loads(entry.read_text())
+    del content["digest"]
+    entry_file.write(tmp_path / "mine.json", content | {key: value})
+    code, out, _ = said(capsys, "bench", "rerate", str(tmp_path))
+    assert (code, f"{key} is {value}, and" in out) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("t3-soccer-1v1-v1", ["Leatherback (red/0) sees 24", "40 rad/s per unit"]),
+        ("t4-galaga-1v1-v1", ["Minitank (blue/0) sees 18", "Crazyflie (red/0) sees 20"]),
+    ],
+)
+def test_a_tasks_command_describes_its_own_observations_and_units(name, words, capsys):
+    command = next(line for line in said(capsys, "bench", name)[1].splitlines() if line.startswith("What robots see"))
+    given = command.partition(": league ")[2].split()
+    described = said(capsys, *given)[1]
+    assert [word for word in words if word not in described] == []
+    settings = json.loads(said(capsys, *given, "--format", "json")[1])["settings"]
+    assert settings  # tables of settings are part of it
+
+
 @pytest.mark.parametrize(
     "change", [{"rows": [{"a": "e1", "b": "idle"}]}, {"name": 3}, {"policies": [{}]}, {"rows": []}]
 )
@@ -132,6 +157,8 @@ REFUSED = {
     "no function": ([SUMO, "--entry", "{slow}"], "slow.py is a Python file: name its function"),
     "a missing side": ([UNLIKE, "--entry", "blue=anymals-sumo"], "a policy for red is missing (1 for blue and 0"),
     "a side unnamed": ([UNLIKE, "--entry", "anymals-sumo"], "does not name its side"),
+    "a side misspelt": ([UNLIKE, "--entry", "bleu=x.onnx", "red=y.onnx"], "has no side 'bleu', and takes"),
+    "sides that are alike": ([SUMO, "--entry", "green=x.onnx"], "are alike; give --entry FILE, no green="),
     "odd games": ([SUMO, "--entry", "{one}", "--games", "7"], "--games is 7: it must be even"),
     "no curve": ([SUMO, "--entry", "{one}", "--curve", "{slow}"], "line 1: 'import time' is not SECONDS,FILE"),
     "unlike sides": ([UNLIKE, "--entry", *SHIPPED, "--curve", "{curve}"], "--curve is for tasks of like sides, and"),

@@ -102,7 +102,8 @@ def test_rows_that_do_not_give_the_figures_are_told_with_both():
     told = {**metrics.metrics(SUMO, ["e1"], rows, known), "exploitability": None}
     content = {
         "name": "x", "task": SUMO.name, "references": known.digest, "policies": [{"name": "e1"}], "rows": rows,
-        "attacks": [], "curve": [], "metrics": told | {"seconds_to_75": None},
+        "games": 64, "trial": True, "seed": SUMO.seed, "attacks": [], "curve": [],
+        "metrics": told | {"seconds_to_75": None},
     }  # fmt: skip
     assert rerating.differences(content) == []
     forged = content | {"rows": [row("e1", name, 41, 0, 23) for name in known.names]}
