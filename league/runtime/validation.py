@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from agents.settings import HAPPO
-from arenas.contract.error_location import describe_error, source_files
+from arenas.errors import ArenaError, EngineError, describe_error, source_files
 from league.config.experiment import Config, check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
@@ -71,8 +71,6 @@ def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:
 
 
 def _built(config: Config) -> "Arena":
-    from arenas.errors import ArenaError, EngineError
-
     name = config.arena.name
     try:
         arena = build(config, worlds(config))
