@@ -162,8 +162,9 @@ def _called(term: TermSpec, setting: str, function: Callable[..., Any], *given: 
 def _line(term: TermSpec, function: Any) -> str:
     """Return where the term's file defines a function, as ` (terms.py:12)`; empty for all else."""
     code = getattr(inspect.unwrap(function), "__code__", None) if callable(function) else None
-    own = code is not None and Path(code.co_filename).resolve() == term.file.resolve()
-    return f" ({term.file.name}:{code.co_firstlineno})" if own else ""
+    if code is None or Path(code.co_filename).resolve() != term.file.resolve():
+        return ""
+    return f" ({term.file.name}:{code.co_firstlineno})"
 
 
 def _fault(term: TermSpec, setting: str, what: str) -> TermError:
