@@ -20,9 +20,8 @@ from arenas.arena_settings import EngineOptions
 from arenas.contract.check_run import WORLDS, CheckRun
 from arenas.contract.checks import CHECKS, config_hash, reset_and_step
 from arenas.contract.description_check import check_description
-from arenas.contract.error_location import describe_error, source_files
 from arenas.contract.shape_checks import check_shapes
-from arenas.errors import ArenaError, EngineError
+from arenas.errors import ArenaError, EngineError, describe_error, source_files
 from arenas.physics.registry import resolve_engine
 
 FOUND = "its file can be read and its settings build it"

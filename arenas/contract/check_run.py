@@ -23,6 +23,7 @@ class Episode(NamedTuple):
 
     states: State  # the part that learners see (T, WORLDS, ...)
     raw: dict[str, np.ndarray]  # observations (T, WORLDS, obs) from the game, before masking of non-finite numbers
+    unstable: np.ndarray  # (T, WORLDS) bool: physics failed, if only after the end
     last: State  # the complete last state
 
 
@@ -77,11 +78,13 @@ class CheckRun:
         observe = jax.jit(jax.vmap(lambda state: arena.observe(state.physics, state.game, state.actions)))
         state, states = self.second, [_learner_view(self.first), _learner_view(self.second)]
         raw = [jax.device_get(observe(state)) for state in (self.first, self.second)]
+        unstable = [np.asarray(state.physics.unstable) for state in (self.first, self.second)]
         for decision in range(1, arena.timing.decisions + 2):
             state = self.step(state, decision)
             states.append(_learner_view(state))
             raw.append(jax.device_get(observe(state)))
-        return Episode(_stack(states), _stack(raw), state)
+            unstable.append(np.asarray(state.physics.unstable))
+        return Episode(_stack(states), _stack(raw), np.stack(unstable), state)
 
     def recorded_frames(self) -> Frames:
         """Return frames (RECORDED, WORLDS, hold, ...) of random play as matches record them, stacked by one scan."""

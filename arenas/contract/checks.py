@@ -47,9 +47,10 @@ def _names(run: CheckRun) -> str:
 
 @check("observations are finite")
 def _observations(run: CheckRun) -> str:
-    raw, void = run.episode.raw, run.episode.states.void
+    """Examine worlds with sound physics: a decided game is not void, and its physics may fail until the restart."""
+    raw, sound = run.episode.raw, ~(run.episode.states.void | run.episode.unstable)
     for agent, values in raw.items():
-        bad = ~np.isfinite(values[~void]).all(axis=0)  # (obs,)
+        bad = ~np.isfinite(values[sound]).all(axis=0)  # (obs,)
         if bad.any():
             return f"{agent} observes numbers that are not finite, at index {', '.join(map(str, np.flatnonzero(bad)))}"
     return ""

@@ -15,6 +15,8 @@ from mujoco.batch import Batch
 
 from arenas.arena_settings import EngineName, Solver
 from arenas.physics.cpu import cores
+from arenas.physics.engine import MAX_SPEED
+from arenas.physics.mujoco_c import CEngine, Simulations
 from arenas.physics.registry import make_engine
 from arenas.robots.files.extents import corners, lowest
 from arenas.robots.robot import Robot
@@ -23,6 +25,8 @@ from arenas.scene.scene import Scene, build
 AGENT = "blue/0"
 STEPS = 0.005, 0.01  # s, timesteps of our arenas
 STANDS, MOVES, FLAILS = 2.0, 0.4, 4.0  # s
+FLAILING, LONG = 32, 20.0  # worlds that flail for so many seconds, where instability is rare
+STEADIER = 10, 50  # line-search steps of the solver to try where physics becomes unstable
 ACTION = 0.5  # of which joints are moved
 LEAST = 0.001  # rad or m: a joint that moves less does not move
 NEAR = 0.02  # share of its height by which it may be off the ground at the start
@@ -37,6 +41,7 @@ class Finding(NamedTuple):
     name: str
     ok: bool
     detail: str
+    mend: str = ""  # what to do about a failure
 
 
 class Moved(NamedTuple):
@@ -56,6 +61,7 @@ class RobotTrial:
         self.scenes: dict[float, Scene] = {step: build({"blue": [robot]}, timestep=step) for step in STEPS}
         self.model = self.scenes[STEPS[0]].model
         self.contacts = self.rows = 0
+        self.rests_after: float | None = None  # s of the zero action until its base touched the ground
 
     def findings(self) -> Iterator[Finding]:
         """Yield the checks, each when it is done."""
@@ -64,7 +70,8 @@ class RobotTrial:
         yield from (self._stand(step) for step in STEPS)
         moved = self.moved()
         still = [each.joint for each in moved if not each.ok]
-        yield Finding("each joint moves", not still, f"does not move: {', '.join(still)}" if still else f"{len(moved)}")
+        detail = f"does not move: {', '.join(still)}" if still else f"{len(moved)}"
+        yield Finding("each joint moves", not still, detail, "raise scale or effort, or widen low and high")
         yield self._flail()
 
     def _data(self, scene: Scene, action: np.ndarray | None = None) -> mujoco.MjData:
@@ -85,7 +92,8 @@ class RobotTrial:
         smallest = float(model.dof_M0[least])  # inertia at a joint, with the motor's own
         name = model.joint(int(model.dof_jntid[least])).name.removeprefix(f"{AGENT}/")
         detail = f"{total:.4g} kg in {model.nbody - 1} bodies; least inertia at a joint {smallest:.2g} kg·m² ({name})"
-        return Finding("mass and inertia", total > 0 and smallest > LIGHTEST, detail)
+        mend = f"give {name} more armature, or its body more mass"
+        return Finding("mass and inertia", total > 0 and smallest > LIGHTEST, detail, mend)
 
     def _placed(self) -> Finding:
         """Compare its height with that of its lowest point in the standing pose."""
@@ -99,7 +107,7 @@ class RobotTrial:
         ok = abs(gap) < NEAR * height
         detail = f"its base is {height:.4g} m above its lowest point"
         wrong = "" if ok else f", but height = {self.robot.rest_height:g}: --fit writes what its pose needs"
-        return Finding("placed on the ground", ok, detail + wrong)
+        return Finding("placed on the ground", ok, detail + wrong, "let --fit write the height")
 
     def top(self) -> float:
         """Return the height of its highest shape in the standing pose, m."""
@@ -113,10 +121,13 @@ class RobotTrial:
         scene = self.scenes[step]
         data, at = self._data(scene), scene.agents[AGENT]
         start, fell = float(at.pose(data.qpos)[2]), None
+        base = np.flatnonzero(scene.model.geom_bodyid == at.base)
         for _ in range(round(STANDS / step)):
             mujoco.mj_step(scene.model, data)
             if fell is None and bool(self.robot.fallen(jnp.asarray(at.pose(data.qpos)))):
                 fell = data.time
+            if self.rests_after is None and _touch_the_ground(data, base):
+                self.rests_after = data.time
         pose = np.asarray(at.pose(data.qpos))
         x, y = pose[4:6]
         tilt = np.degrees(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
@@ -129,7 +140,8 @@ class RobotTrial:
             else f"; it has fallen after {fell:.2g} s: the zero action holds no balance (legs want a"
             " bent `home` in the robot file, then `league robot FILE --fit`; a humanoid needs a policy)"
         )
-        return Finding(f"stands, steps of {step:g} s", sound and fell is None, after + ends)
+        mend = "bend `home` and let --fit write the pose, or raise kp; a humanoid that needs a policy can play as it is"
+        return Finding(f"stands, steps of {step:g} s", sound and fell is None, after + ends, mend)
 
     def moved(self) -> list[Moved]:
         """Move each joint alone, in the air without gravity, both ways, and return the larger way."""
@@ -162,9 +174,40 @@ class RobotTrial:
             mujoco.mj_step(scene.model, data)
             self.contacts, self.rows = max(self.contacts, data.ncon), max(self.rows, data.nefc)
             top = max(top, float(np.abs(at.velocity(data.qvel)[:3]).max()))
-        sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
         detail = f"at most {self.contacts} contacts, {self.rows} rows; base at most {top:.2g} m/s"
-        return Finding("flails without breaking", sound, detail)
+        broken = self.unstable_after()
+        if not broken:
+            return Finding("flails without breaking", True, detail)
+        said = f"unstable in {len(broken)} of {FLAILING} worlds of {LONG:g} s, first after {broken[0]:.2g} s"
+        more = [steps for steps in STEADIER if steps > self.model.opt.ls_iterations]
+        holds = next((steps for steps in more if not self.unstable_after(steps)), None)
+        if holds is None:
+            mend = "give light joints more armature, or lower kp, kd, effort or scale"
+            tried = f"; ls_iterations = {more[-1]} in the robot file does not help" if more else ""
+            return Finding("flails without breaking", False, f"{said}{tried}", mend)
+        found = f"{said}; with ls_iterations = {holds} in the robot file, in none"
+        return Finding("flails without breaking", False, found, f"set ls_iterations = {holds} in the robot file")
+
+    def unstable_after(self, ls_iterations: int | None = None) -> list[float]:
+        """Let it flail in FLAILING worlds, with the solver's own line-search steps or these.
+
+        Return after how many seconds each world's physics became unstable by the arenas' measure, without those that
+        stayed sound.
+        """
+        model = build({"blue": [self.robot]}, timestep=STEPS[0]).model  # its own: the engine changes flags of models
+        model.opt.ls_iterations = ls_iterations or model.opt.ls_iterations
+        CEngine(model)
+        worlds, rng = Simulations(Batch(model, FLAILING, cores()), ()), np.random.default_rng(0)
+        worlds.state["qpos"][:] = self.scenes[STEPS[0]].rest
+        after = np.full(FLAILING, np.inf)
+        command = jax.jit(jax.vmap(self.robot.command))
+        for number in range(1, 1 + round(LONG / STEPS[0] / CONTROL)):
+            actions = rng.normal(size=(FLAILING, self.robot.action_size)).astype(np.float32)
+            worlds.state["ctrl"][:] = command(actions)
+            failed = worlds.advance(CONTROL, None, worlds.state["ctrl"])
+            failed |= ~(np.abs(worlds.state["qvel"]).max(axis=1) < MAX_SPEED)
+            after = np.where(failed, np.minimum(after, number * CONTROL * STEPS[0]), after)
+        return sorted(after[np.isfinite(after)].tolist())
 
     def speed(self) -> float:
         """Return control steps of 0.02 s per second of the C engine on all cores, of a robot that stands."""
@@ -196,4 +239,13 @@ class RobotTrial:
             ends.append(np.asarray(physics.qpos))
         off = float(np.abs(ends[0] - ends[1]).max())
         ok = bool(np.isfinite(off)) and off < 0.01
-        return Finding(f"engine {engine} agrees with C", ok, f"after {steps * CONTROL * STEPS[0]:g} s within {off:.1g}")
+        mend = "raise contacts and rows in its [buffers], or give light joints more armature"
+        return Finding(
+            f"engine {engine} agrees with C", ok, f"after {steps * CONTROL * STEPS[0]:g} s within {off:.1g}", mend
+        )
+
+
+def _touch_the_ground(data: mujoco.MjData, geoms: np.ndarray) -> bool:
+    """Return whether one of these geoms has a contact with the ground, the scene's first geom."""
+    pairs = data.contact.geom  # (contacts, 2)
+    return bool(((pairs == 0).any(axis=1) & np.isin(pairs, geoms).any(axis=1)).any())

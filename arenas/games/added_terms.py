@@ -9,9 +9,10 @@ function returns must follow from its arguments alone.
 """
 
 import hashlib
-import traceback
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -21,14 +22,14 @@ from jax import Array
 from arenas import python_file
 from arenas.arena import Arena
 from arenas.description import Legend, Part
-from arenas.errors import ArenaError
+from arenas.errors import TermError, describe_error, innermost_line
 from arenas.games.terms import TermSpec
 from arenas.physics.engine import Physics
 from arenas.state import Verdict
 
 
 def add_terms(arena: Arena, rewards: Sequence[TermSpec], observations: Sequence[TermSpec]) -> None:
-    """Build terms into an arena, and try each on shapes alone. Raises ArenaError, one line, for one that fails.
+    """Build terms into an arena, and try each on shapes alone. Raises TermError, one line, for one that fails.
 
     Observations count for the arena's configuration hash, with the bytes of their files. Rewards do not, as no weight
     of a reward does: matches are decided by score.
@@ -56,7 +57,7 @@ def _add_rewards(arena: Arena, terms: Sequence[TermSpec], shapes: Verdict) -> No
                 raise _fault(
                     term,
                     "reward.terms",
-                    f"it returns shape {value.shape} and not one number per team, ({teams},)",
+                    f"it returns shape {value.shape} and not one number per team, ({teams},){_line(term, function)}",
                 )
             (shapings if term.name in dense else rewards)[term.name] = term.weight * value
         return after, verdict._replace(rewards=rewards, shapings=shapings)
@@ -116,11 +117,10 @@ def _layout(
     """Return a term of an agent with its first number (None: it follows the others) and its size."""
     asked = jax.eval_shape(lambda *given: _called(term, "observation_terms", function, arena, agent, *given), *shapes)
     if len(asked.shape) > 1 or asked.size == 0:
-        raise _fault(term, "observation_terms", f"it returns shape {asked.shape} and not (n,)")
+        raise _fault(term, "observation_terms", f"it returns shape {asked.shape} and not (n,){_line(term, function)}")
     if known is not None and known[1] != asked.size:
-        raise _fault(
-            term, "observation_terms", f"it returns {asked.size} numbers, and the part of that name has {known[1]}"
-        )
+        sizes = f"it returns {asked.size} numbers, and the part of that name has {known[1]}"
+        raise _fault(term, "observation_terms", f"{sizes}{_line(term, function)}")
     return term, function, None if known is None else known[0], int(asked.size)
 
 
@@ -137,11 +137,13 @@ def _loaded(term: TermSpec, setting: str) -> Callable[..., Any]:
     if not term.file.is_file():
         raise _fault(term, setting, "there is no such file")
     try:
-        found = getattr(python_file(term.file), term.function, None)
+        module = python_file(term.file)
     except (Exception, SystemExit) as error:
-        raise _fault(term, setting, _described(term, error)) from error
+        raise _fault(term, setting, describe_error(error, [term.file.resolve()])) from error
+    found = getattr(module, term.function, None)
     if not callable(found):
-        raise _fault(term, setting, f"the file has no function {term.function}")
+        own = [name for name, each in vars(module).items() if _line(term, each) and not name.startswith("_")]
+        raise _fault(term, setting, f"the file has no function {term.function} (functions: {', '.join(own) or 'none'})")
     return found
 
 
@@ -149,19 +151,21 @@ def _called(term: TermSpec, setting: str, function: Callable[..., Any], *given: 
     try:
         value = jnp.asarray(function(*given))
     except Exception as error:
-        raise _fault(term, setting, _described(term, error)) from error
+        own = [term.file.resolve()]
+        place = "" if innermost_line(error, own) else _line(term, function)
+        raise _fault(term, setting, f"{describe_error(error, own)}{place}") from error
     if not (jnp.issubdtype(value.dtype, jnp.number) or value.dtype == bool):
-        raise _fault(term, setting, f"it returns {value.dtype}, and must return numbers")
+        raise _fault(term, setting, f"it returns {value.dtype}, and must return numbers{_line(term, function)}")
     return value.astype(jnp.float32)
 
 
-def _described(term: TermSpec, error: BaseException) -> str:
-    """Describe what a file raised, with the innermost of its own lines."""
-    own = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(term.file)]
-    lines = str(error).splitlines()
-    place = f" (line {own[-1]})" if own else ""
-    return f"{type(error).__name__}: {lines[0] if lines else 'no message'}{place}"
+def _line(term: TermSpec, function: Any) -> str:
+    """Return where the term's file defines a function, as ` (terms.py:12)`; empty for all else."""
+    code = getattr(inspect.unwrap(function), "__code__", None) if callable(function) else None
+    if code is None or Path(code.co_filename).resolve() != term.file.resolve():
+        return ""
+    return f" ({term.file.name}:{code.co_firstlineno})"
 
 
-def _fault(term: TermSpec, setting: str, what: str) -> ArenaError:
-    return ArenaError(f"arena.{setting}: {term.name} = {term.where}: {what}")
+def _fault(term: TermSpec, setting: str, what: str) -> TermError:
+    return TermError(f"arena.{setting}: {term.name} = {term.where}: {what}")

@@ -104,6 +104,7 @@ class Robot:
     radius: float = 0.0  # m, of the circle that it covers, for scripts that pass by; 0: not known
     feet: tuple[str, ...] = ()  # bodies that it walks on
     torques: JointLaw | None = None  # torques of its motors under a ctrl; None: ctrl is the torques
+    ls_iterations: int = 0  # line-search steps that the solver takes at least in its scenes; 0: those of the arena
     identity: str = ""  # settings outside the code and the model that decide how it moves; for configuration hashes
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """Compilation of robots, props and ground into one MjModel, with the indices of each by name."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import mujoco
@@ -77,9 +77,12 @@ def build(
 ) -> Scene:
     """Put each team's robots, under the prefix `team/index/`, and the props, under `name/`, on one ground; compile.
 
-    Robots without a body leave no trace in the model. Raises ArenaError if two of them share a name.
+    Robots without a body leave no trace in the model. The solver takes as many line-search steps as the robot asks for
+    that needs most. Raises ArenaError if two of them share a name.
     """
     solver = solver or Solver()
+    steps = [robot.ls_iterations for members in teams.values() for robot in members]
+    solver = replace(solver, ls_iterations=max([solver.ls_iterations, *steps]))
     names = [*teams, *(prop.name for prop in props)]
     twice = {name for name in names if names.count(name) > 1}
     if twice:

@@ -13,8 +13,7 @@ from typing import Any
 import arenas
 from agents.settings import HAPPO, REMOVED, HappoConfig
 from arenas.arena_settings import EngineName
-from arenas.contract.error_location import describe_error, source_files
-from arenas.errors import ArenaError
+from arenas.errors import ArenaError, describe_error, source_files
 from league.config import flags, toml
 from league.config import stages as parts
 from league.config.build import build

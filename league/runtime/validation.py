@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from agents.settings import HAPPO
-from arenas.contract.error_location import describe_error, source_files
+from arenas.errors import ArenaError, EngineError, describe_error, source_files
 from league.config.experiment import Config, check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
@@ -71,13 +71,13 @@ def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:
 
 
 def _built(config: Config) -> "Arena":
-    from arenas.errors import ArenaError, EngineError
-
     name = config.arena.name
     try:
         arena = build(config, worlds(config))
         if ":" in name:  # a user's own arena: find its mistakes now rather than in each worker
-            _trace(arena)
+            _examine_shapes(arena)
+    except ConfigError:
+        raise
     except EngineError as error:
         raise ConfigError(("engine",), str(error)) from None
     except ArenaError as error:
@@ -88,10 +88,20 @@ def _built(config: Config) -> "Arena":
     return arena
 
 
-def _trace(arena: "Arena") -> None:
-    """Run reset and step on shapes alone, which is cheap and finds most mistakes in an arena's code."""
+def _examine_shapes(arena: "Arena") -> None:
+    """Run the hooks, reset and step on shapes alone, which is cheap and finds most mistakes in an arena's code.
+
+    Raises ConfigError for hooks that return other names, shapes or types than the arena declares, and the error of the
+    arena's own code, if any.
+    """
     import jax
 
+    from arenas.contract.check_run import CheckRun
+    from arenas.contract.shape_checks import check_shapes
+
+    if problem := check_shapes(CheckRun(arena, jax.random.key(0))):
+        name = arena.name
+        raise ConfigError(("arena",), f"arena {name}: {problem}; `league check {name}` examines it")
     state = jax.eval_shape(arena.reset, jax.random.key(0))
     actions = {agent.name: jax.ShapeDtypeStruct((agent.action_size,), "float32") for agent in arena.agents}
     jax.eval_shape(arena.step, state, actions)

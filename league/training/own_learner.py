@@ -23,8 +23,7 @@ from agents.policy.host_policy import Actor, HostPolicy
 from agents.settings import HAPPO
 from arenas import python_file
 from arenas.arena_settings import Table
-from arenas.contract.error_location import describe_error
-from arenas.errors import ArenaError
+from arenas.errors import ArenaError, describe_error
 from arenas.state import TeamSpec
 from league.snapshots.exports.networks import agents_of
 from league.snapshots.programs import stored

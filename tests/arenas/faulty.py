@@ -138,6 +138,16 @@ class Blind(Race):
         return {name: x.at[4].set(x[4] / (physics.time > 0.55)) for name, x in seen.items()}  # inf after half a second
 
 
+class Shattered(Race):
+    """No fault: its physics fails after the end, as that of robots that fall off the edge does."""
+
+    def step_with_frames(self, state, actions):
+        after, frames = super().step_with_frames(state, actions)
+        speed = jnp.where(state.done, jnp.nan, after.physics.qvel)
+        causes = jnp.where(state.done, jnp.uint8(1), after.physics.causes)
+        return after._replace(physics=after.physics._replace(qvel=speed, causes=causes)), frames
+
+
 class Partial(Race):
     def observe(self, physics, game, actions):
         seen = super().observe(physics, game, actions)

@@ -2,10 +2,13 @@
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
+import jax
 import pytest
 
+import arenas
 from league.commands import cli
 from league.config import experiment, flags
 from scripts import reference_pages, site_hooks
@@ -18,6 +21,7 @@ OPTION = re.compile(r"--[\w.-]+")
 EVERYWHERE = {"--store", "--league", "--blobs", "--help", "--debug"}
 OPEN = ("--arena.", "--learner.settings.")  # their keys depend on the arena, and on a class of one's own
 OWN = re.compile(r"<!-- run: (\S+) -->\n```python\n(.*?)```", re.DOTALL)
+MORE = re.compile(r"<!-- more: (\S+) -->\n```python\n(.*?)```", re.DOTALL)
 
 
 def normal(option: str) -> str:
@@ -71,3 +75,23 @@ def test_the_arena_of_the_page_keeps_its_contract(tmp_path, monkeypatch, capsys)
     out = capsys.readouterr().out
     assert (ended.value.code or 0) == 0, out
     assert out.count("ok  ") == 27
+
+
+def test_the_page_plays_with_other_robots_and_its_setting_reaches_the_rules(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    monkeypatch.chdir(tmp_path)
+    page = (site_hooks.ROOT / "docs" / "own-arena.md").read_text("utf-8")
+    ((name, code),), ((same, more),) = OWN.findall(page), MORE.findall(page)
+    assert name == same
+    Path(name).parent.mkdir()
+    Path(name).write_text(code + more)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["check", f"{name}:robot-dash", "--arena.reach", "0.5"])
+    out = capsys.readouterr().out
+    assert (ended.value.code or 0) == 0, out
+    near, far = (replace(arenas.settings(f"{name}:robot-dash"), reach=r).build(engine="c") for r in (0.5, 2.5))
+    assert near.config_hash != far.config_hash
+    for arena, there in ((near, False), (far, True)):  # robots start 2 m from the middle
+        state = arena.reset(jax.random.key(0))
+        _, verdict = arena.judge(state.physics, state.physics, state.game)
+        assert bool(verdict.events["arrival"].all()) == there

@@ -93,6 +93,7 @@ def robot_of(settings: RobotFile) -> Robot:
         radius=settings.width / 2,
         feet=settings.feet,
         torques=gains.torques,
+        ls_iterations=settings.ls_iterations,
         identity=settings.identity,
     )  # fmt: skip
 

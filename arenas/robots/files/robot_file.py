@@ -49,6 +49,7 @@ class RobotFile:
     self_contact: bool = True  # its own bodies touch each other
     free_base: bool = False  # the model has no free joint, and the base gets one
     planar: bool = False  # the base moves in the world's x and z alone, and pitches
+    ls_iterations: int = 4  # line-search steps of the solver, at least; arenas' own are 4
     contacts: int = 16  # Warp's contact slots for it
     rows: int = 64  # Warp's constraint rows for it
     folder: str = "."  # where `model` is relative to
@@ -60,8 +61,11 @@ class RobotFile:
 
     @property
     def identity(self) -> str:
-        """All settings that decide how it moves, as text: part of an arena's configuration hash."""
-        apart = {"folder", "model", "contacts", "rows", "width", "name", "planar"}  # the model decides `planar`
+        """All settings that decide how it moves, as text: part of an arena's configuration hash.
+
+        The model decides `planar`, and the arena's scene, which counts too, has `ls_iterations`.
+        """
+        apart = {"folder", "model", "contacts", "rows", "width", "name", "planar", "ls_iterations"}
         return json.dumps({key: value for key, value in asdict(self).items() if key not in apart})
 
 
@@ -115,6 +119,7 @@ width = {_text(robot.width)}  # m, diameter of the circle that it covers
 feet = {_text(list(robot.feet))}  # bodies that it stands on
 passive = {_text(list(robot.passive))}  # joints without an actuator
 self_contact = {_text(robot.self_contact)}  # its own bodies touch each other
+ls_iterations = {robot.ls_iterations}  # line-search steps of the solver: 10 or more if its physics becomes unstable
 
 [fall]
 height = {_text(robot.fall_height)}  # m: a base below this has fallen

@@ -1,6 +1,7 @@
 """Reading of MJCF and URDF files: the compiled model, and the one robot in it. All else in the file is left out."""
 
 import warnings
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,14 @@ ELONGATED = 1.6  # a mesh so much longer than wide is fitted by a capsule, else 
 MESH, FREE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtJoint.mjJNT_FREE)
 BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("BALL", "SLIDE", "HINGE"))
 PLANE = ((1, 0, 0), (0, 0, 1), (0, 1, 0))  # axes of the joints of a planar base, as in gymnasium's hopper
+# Attributes of numbers, in MJCF and URDF: MuJoCo takes a NaN in them for a number that is not given.
+NUMBERS = {
+    "mass", "density", "inertia", "diaginertia", "fullinertia", "pos", "quat", "axisangle", "euler", "xyaxes", "zaxis",
+    "size", "fromto", "axis", "range", "ref", "springref", "stiffness", "damping", "frictionloss", "armature", "margin",
+    "friction", "gear", "kp", "kv", "ctrlrange", "forcerange", "actuatorfrcrange", "gainprm", "biasprm", "qpos",
+    "value", "xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "lower", "upper", "effort", "velocity", "radius",
+    "length",
+}  # fmt: skip
 ADDED_JOINT = "free base"  # of a base that the file fixes to the world
 
 
@@ -45,6 +54,7 @@ def read_source(path: Path, free_base: bool = False) -> Source:
 
     Raises ArenaError, one line that names the file and the part, for a file that holds no single robot.
     """
+    _check_numbers(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, OSError) as error:
@@ -63,6 +73,20 @@ def read_source(path: Path, free_base: bool = False) -> Source:
     left_out += list(_left_out(spec, model, base))
     planar = bool(model.jnt_type[model.body_jntadr[base]] != FREE)
     return Source(path, model, _shapes(spec, model, path), base, bodies, joints, left_out, named, planar)
+
+
+def _check_numbers(path: Path) -> None:
+    """Raise ArenaError for a NaN in a file; files that it includes are not looked at."""
+    try:
+        root = ElementTree.fromstring(path.read_bytes())
+    except (OSError, ElementTree.ParseError):
+        return  # MuJoCo's own reader says what is wrong, if it is no more lenient
+    parents = {child: part for part in root.iter() for child in part}
+    for part in root.iter():
+        for key, value in part.attrib.items():
+            if key in NUMBERS and any(each.lower().lstrip("+-") == "nan" for each in value.split()):
+                where = part.get("name") or f"of {parents[part].get('name', parents[part].tag)}"
+                raise ArenaError(f'{path}: {part.tag} {where} has {key}="{value}": give numbers, or leave {key} out')
 
 
 def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> list[str]:

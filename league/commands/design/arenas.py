@@ -73,7 +73,7 @@ def _all_about(name: str, given: flags.Given, format: Literal["table", "json"]) 
     except (Exception, SystemExit) as error:
         if ":" not in name:  # an arena of this package
             raise
-        from arenas.contract.error_location import describe_error, source_files
+        from arenas.errors import describe_error, source_files
 
         text = f"arena {name}: {describe_error(error, source_files(name))}; `league check {name}` examines it"
         raise ConfigError(("name",), text) from error

@@ -1,7 +1,9 @@
 """`league robot`: read a robot from an MJCF or URDF file, try it, draw it, and write its robot file."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
 from arenas.arena_settings import EngineName
@@ -11,7 +13,7 @@ from league.config.schema import ConfigError
 from league.system import exit_codes
 
 if TYPE_CHECKING:
-    from arenas.contract.robot_trial import RobotTrial
+    from arenas.contract.robot_trial import Finding, RobotTrial
     from arenas.robots.files.robot_file import Drive, RobotFile
     from arenas.robots.files.source import Source
 
@@ -65,15 +67,19 @@ def robot(args: list[str]) -> int:
     from arenas.contract.robot_trial import RobotTrial
 
     trial = RobotTrial(robot_of(settings))
-    passed = _try(settings, trial)
+    failed = _try(settings, trial)
     if target is not None:
         _write(target, _with_buffers(settings, trial))
     if options.shot is not None:
         _draw(trial, settings.name, settings.width, options.shot)
     if options.engine not in ("c", "auto"):
-        passed &= _compare(options.engine, _with_buffers(settings, trial), trial)
-    _next(options.file if target is None else str(target), settings.planar)
-    return exit_codes.DONE if passed else exit_codes.NO
+        failed += _compare(options.engine, _with_buffers(settings, trial), trial)
+    file = options.file if target is None else str(target)
+    if failed:
+        _mend(file, failed)
+        return exit_codes.NO
+    _next(file, settings, trial.rests_after)
+    return exit_codes.DONE
 
 
 def _target(options: RobotOptions) -> Path | None:
@@ -133,11 +139,11 @@ def _reading(settings: "RobotFile", source: "Source") -> str:
     return "\n".join(lines)
 
 
-def _try(settings: "RobotFile", trial: "RobotTrial") -> bool:
-    """Print the checks and the joints; return whether all passed."""
-    passed = True
+def _try(settings: "RobotFile", trial: "RobotTrial") -> list["Finding"]:
+    """Print the checks and the joints; return the checks that failed."""
+    failed = []
     for finding in trial.findings():
-        passed &= finding.ok
+        failed += [] if finding.ok else [finding]
         print(f"{'ok    ' if finding.ok else 'FAILED'}  {finding.name}: {finding.detail}", flush=True)
     print(f"        speed: {trial.speed():,.0f} control steps per second on engine c, while standing")
     moved = {each.joint: each for each in trial.moved()}
@@ -147,16 +153,16 @@ def _try(settings: "RobotFile", trial: "RobotTrial") -> bool:
         for name, drive in settings.drives.items()
     ]  # fmt: skip
     print(render(rows, DRIVES))
-    return passed
+    return failed
 
 
-def _compare(engine: EngineName, settings: "RobotFile", trial: "RobotTrial") -> bool:
-    """Print how far another engine is from C; return whether they agree."""
+def _compare(engine: EngineName, settings: "RobotFile", trial: "RobotTrial") -> list["Finding"]:
+    """Print how far another engine is from C; return that check if it failed."""
     from arenas.arena_settings import Solver
 
     finding = trial.compare(engine, Solver(contacts=settings.contacts + 8, rows=settings.rows + 16))
     print(f"{'ok    ' if finding.ok else 'FAILED'}  {finding.name}: {finding.detail}")
-    return finding.ok
+    return [] if finding.ok else [finding]
 
 
 def _range(drive: "Drive") -> str:
@@ -179,7 +185,7 @@ def _write(target: Path, settings: "RobotFile") -> None:
     if target.stem != settings.name and settings.name in _names():
         settings = replace(settings, name=target.stem)
     target.write_text(written(settings), "utf-8")
-    print(f"Wrote {target}: edit it, and try it again with: league robot {target}")
+    print(f"Wrote {target}: edit it, and try it again with: league robot {quote(str(target))}")
 
 
 def _names() -> tuple[str, ...]:
@@ -210,7 +216,33 @@ def _draw(trial: "RobotTrial", name: str, width: float, path: Path) -> None:
     print(f"Wrote {path}")
 
 
-def _next(file: str, planar: bool) -> None:
-    arena = "disturbance" if planar else "walk"
-    print(f"Play it: league check {arena} --arena.blue {file}")
-    print(f"         league run --arena.name {arena} --arena.blue {file}")
+def _mend(file: str, failed: "list[Finding]") -> None:
+    """Print what to do about the checks that failed."""
+    print("Mend it first:")
+    for mend in dict.fromkeys(finding.mend for finding in failed):
+        print(f"  {mend}")
+    print(f"then try it again with: league robot {quote(file)}")
+
+
+def _next(file: str, settings: "RobotFile", rests_after: float | None) -> None:
+    """Print commands that play it, in an arena that its body allows."""
+    given = f"--arena.blue {quote(file)}"
+    arena = "disturbance" if settings.planar else "walk"
+    if rests_after is not None and not settings.planar:
+        arena, given = "sumo-1v1", f"{given} --arena.red {quote(file)}{_ring(settings.width)}"
+        print(
+            f"Its base touches the ground after {rests_after:.2g} s of the zero action, where an episode of walk ends:"
+            " it plays other arenas"
+        )
+    print(f"Play it: league check {arena} {given}")
+    print(f"         league run --arena.name {arena} {given}")
+
+
+def _ring(width: float) -> str:
+    """Return the flag of a ring in which two robots of this width can start, m; empty where sumo's own is enough."""
+    import arenas
+    from arenas.games.sumo.settings import diameter_ring
+
+    least, usual = diameter_ring((1, 1), width), arenas.settings("sumo-1v1").rules.ring  # type: ignore[attr-defined]
+    low = math.ceil(10 * least + 0.1) / 10  # the width in the file is rounded
+    return f" --arena.rules.ring {low:g},{1.5 * low:g}" if usual[0] < least else ""

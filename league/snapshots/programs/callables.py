@@ -18,7 +18,7 @@ import numpy as np
 
 from agents.policy.host_policy import Actor
 from arenas import python_file
-from arenas.contract.error_location import describe_error
+from arenas.errors import describe_error
 from league.snapshots.programs.model import AgentSizes, ProgramError
 
 

@@ -278,3 +278,12 @@ def test_rosters_that_cannot_be_are_refused(teams, message):
 
     with pytest.raises(ArenaError, match=message):
         Any()
+
+
+def test_physics_that_fails_after_the_end_is_no_fault_of_the_observation():
+    run = CheckRun(faulty.Shattered(RACE, engine="c", worlds=WORLDS), jax.random.key(0))
+    episode = run.episode
+    assert not episode.states.void.any()
+    assert episode.unstable[-1].all()
+    assert not np.isfinite(episode.raw["blue/0"][-1]).all()
+    assert CHECKS["observations are finite"](run) == ""

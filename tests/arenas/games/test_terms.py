@@ -17,6 +17,7 @@ from arenas.errors import ArenaError
 from league.commands import cli
 from league.config import experiment
 from league.config.schema import ConfigError
+from league.runtime.validation import validate
 
 GAME = arenas.settings("rock-paper-scissors")
 FUNCTIONS = """
@@ -42,6 +43,14 @@ def broken(arena, before, physics, game):
 
 def table(arena, agent, physics, game, actions):
     return jnp.zeros((2, 2))
+
+def branches(arena, before, physics, game):
+    if game.total > 1:
+        return jnp.ones(2)
+    return jnp.zeros(2)
+
+def too_few(arena, physics, game):
+    return jnp.zeros(2)
 
 def infinite(arena, before, physics, game):
     return jnp.full(2, jnp.inf)
@@ -118,11 +127,13 @@ def test_the_page_shows_the_example_and_a_robot_on_its_side_earns_less():
 
 @pytest.mark.parametrize(("rewards", "observations", "line"), [
     ({"x": "gone.py:f"}, {}, r"reward\.terms: x = gone\.py:f: there is no such file"),
-    ({"x": "{}:none"}, {}, "the file has no function none"),
-    ({"x": "{}:scalar"}, {}, r"it returns shape \(\) and not one number per team, \(2,\)"),
-    ({"x": "{}:broken"}, {}, r"AttributeError: 'Rounds' object has no attribute 'missing' \(line 20\)"),
-    ({}, {"x": "{}:table"}, r"observation_terms: x = .*: it returns shape \(2, 2\) and not \(n,\)"),
-    ({}, {"one": "{}:chosen"}, "it returns 2 numbers, and the part of that name has 1"),
+    ({"x": "{}:none"}, {}, r"the file has no function none \(functions: paper, two, .*infinite\)"),
+    ({"x": "{}:scalar"}, {}, r"it returns shape \(\) and not one number per team, \(2,\) \(terms\.py:16\)"),
+    ({"x": "{}:broken"}, {}, r"AttributeError: 'Rounds' object has no attribute 'missing' \(terms\.py:20\)"),
+    ({"x": "{}:branches"}, {}, r"TracerBoolConversionError: .*; use jnp\.where .* \(terms\.py:26\)"),
+    ({"x": "{}:too_few"}, {}, r"TypeError: too_few\(\) takes 3 .* but 4 were given \(terms\.py:30\)"),
+    ({}, {"x": "{}:table"}, r"observation_terms: x = .*: it returns shape \(2, 2\) and not \(n,\) \(terms\.py:22\)"),
+    ({}, {"one": "{}:chosen"}, r"it returns 2 numbers, and the part of that name has 1 \(terms\.py:10\)"),
 ])  # fmt: skip
 def test_a_function_that_cannot_be_a_term_is_one_line_when_the_arena_is_built(file, rewards, observations, line):
     named = [{name: where.format(file) for name, where in each.items()} for each in (rewards, observations)]
@@ -161,3 +172,26 @@ def test_league_check_takes_terms(file, capsys):
         cli.main(["check", GAME.name, "--engine", "c", "--arena.reward.terms", f'{{"x": "{file}:infinite"}}'])
     assert ended.value.code == 1
     assert "FAILED  rewards, shapings and scores are finite: x is not finite" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["terms.py", "added_terms.py", "mine.py"])  # two are also names of the league's files
+def test_check_and_run_give_one_line_with_the_place_in_a_relative_file(name, file, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my").mkdir()
+    (tmp_path / "my" / name).write_text(FUNCTIONS.replace("def broken", "# another file\ndef broken"))
+    where = f"my/{name}:broken"
+    config = experiment.change(experiment.default(GAME.name), {("arena", "reward", "terms"): f'{{"x": "{where}"}}'})
+    with pytest.raises(ConfigError) as refused:
+        validate(config)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["check", GAME.name, "--engine", "c", "--arena.reward.terms", f'{{"x": "{where}"}}'])
+    assert ended.value.code == 1
+    line = f"x = {where}: AttributeError: 'Rounds' object has no attribute 'missing' ({name}:21)"
+    assert refused.value.message == f"arena.reward.terms: {line}"
+    assert capsys.readouterr().out.strip().endswith(f": {refused.value.message}")
+
+
+def test_a_file_with_a_fault_of_syntax_is_named_with_its_line(file):
+    file.write_text("import jax\n\ndef broken(:\n")
+    with pytest.raises(ArenaError, match=r"x = .*: SyntaxError: .* \(terms\.py:3\)"):
+        built({"x": f"{file}:broken"})

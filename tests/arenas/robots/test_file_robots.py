@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import arenas
+from arenas.arena_settings import Solver
 from arenas.contract.robot_trial import RobotTrial
 from arenas.errors import ArenaError
 from arenas.robots.files import robot_file as files
@@ -188,6 +189,19 @@ def test_the_configuration_hash_follows_model_gains_scales_and_pose(write):
     model.write_text(mjcf(POSITION).replace('mass=".5"', 'mass=".6"'))
     found.append(hashed())
     assert len(set(found)) == len(found)
+
+
+def test_the_solver_of_a_scene_takes_the_line_search_steps_of_the_robot_that_needs_most(write):
+    model = write(mjcf(POSITION))
+    toml = write(files.written(replace(derive(model), ls_iterations=10)), "steady.toml")
+    plain = replace(arenas.settings("walk"), blue=(str(model),)).build(engine="c")
+    steady = replace(arenas.settings("walk"), blue=(str(toml),)).build(engine="c")
+    assert (plain.scene.model.opt.ls_iterations, steady.scene.model.opt.ls_iterations) == (4, 10)
+    assert plain.config_hash != steady.config_hash
+    assert robot_file(str(model)).identity == robot_file(str(toml)).identity  # so hashes of before the setting hold
+    teams = {"blue": [file_robot(str(model))], "red": [file_robot(str(toml))]}
+    assert build(teams, timestep=0.005).model.opt.ls_iterations == 10
+    assert build(teams, solver=Solver(ls_iterations=50), timestep=0.005).model.opt.ls_iterations == 50
 
 
 def test_two_files_of_one_name_cannot_meet(write, tmp_path):

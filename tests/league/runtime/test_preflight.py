@@ -191,6 +191,46 @@ def test_an_arena_file_that_cannot_be_read_is_told_with_its_line(body, says, tmp
     assert says in str(caught.value)
 
 
+OWN_ARENA = """
+from dataclasses import dataclass
+from tests.arenas.race import Race, RaceSettings
+
+class Own(Race):
+    def observe(self, physics, game, actions):
+        return {{{name}: {numbers} for name, numbers in super().observe(physics, game, actions).items()}}
+
+@dataclass(frozen=True)
+class OwnSettings(RaceSettings):
+    name: str = "own"
+
+    def build(self, **where):
+        return Own(self, **where)
+
+ARENAS = (OwnSettings(),)
+"""
+
+
+@pytest.mark.parametrize(("name", "numbers", "says"), [
+    ("name", "numbers[:5]", "the observation of blue/0 is float32 (5,), not float32 (6,)"),
+    ("name[1:]", "numbers", "observations are of ['ed/0', 'lue/0'], agents are ['blue/0', 'red/0']"),
+    ("name", "numbers", ""),
+])  # fmt: skip
+def test_an_own_arena_of_wrong_shapes_is_refused_in_one_line_before_there_is_a_store(
+    name, numbers, says, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    Path("own.py").write_text(OWN_ARENA.format(name=name, numbers=numbers))
+    config = configuration.default("own.py:own")
+    if not says:
+        assert validate(config).name == "own.py:own"
+        return
+    with pytest.raises(ConfigError) as caught:
+        prepare(RunSpec.of("store", config), config)
+    assert caught.value.message == f"arena own.py:own: {says}; `league check own.py:own` examines it"
+    assert [path.name for path in tmp_path.iterdir() if path.name != "__pycache__"] == ["own.py"]
+
+
 LIGHT = """
 import resource, sys
 from pathlib import Path
