@@ -241,8 +241,9 @@ def _next(file: str, settings: "RobotFile", rests_after: float | None) -> None:
 def _ring(width: float) -> str:
     """Return the flag of a ring in which two robots of this width can start, m; empty where sumo's own is enough."""
     import arenas
-    from arenas.games.sumo.settings import diameter_ring
+    from arenas.games.sumo.settings import SumoSettings, diameter_ring
 
-    least, usual = diameter_ring((1, 1), width), arenas.settings("sumo-1v1").rules.ring  # type: ignore[attr-defined]
+    least, sumo = diameter_ring((1, 1), width), arenas.settings("sumo-1v1")
+    assert isinstance(sumo, SumoSettings)
     low = math.ceil(10 * least + 0.1) / 10  # the width in the file is rounded
-    return f" --arena.rules.ring {low:g},{1.5 * low:g}" if usual[0] < least else ""
+    return f" --arena.rules.ring {low:g},{1.5 * low:g}" if sumo.rules.ring[0] < least else ""

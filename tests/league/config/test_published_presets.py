@@ -110,8 +110,7 @@ def test_alphastars_league_runs_and_says_how_it_stands(tmp_path, capsys):
 def test_matches_of_harl_a_have_the_learner_with_which_its_figures_were_reached(
     name, gamma, gae_lambda, rollout_length, shaping
 ):
-    config = presets.preset(name)
-    *alone, match = (configuration.stage(config, number) for number in range(len(config.stages)))
+    config, (*alone, match) = presets.preset(name), stages(name)
     assert (match.learner.lr, match.learner.critic_lr, match.learner.gamma) == (3e-4, 1e-3, gamma)
     assert (match.training.rollout_length, match.training.shaping_duration) == (rollout_length, shaping)
     assert match.learner.gae_lambda == gae_lambda
@@ -127,9 +126,14 @@ def test_robots_of_the_quick_start_share_an_actor_and_those_of_the_default_do_no
     assert not configuration.default().learner.share_actors
 
 
+def stages(name: str) -> list[configuration.Config]:
+    """The leagues of a preset's stages."""
+    config = presets.preset(name)
+    return [configuration.stage(config, number) for number in range(len(config.stages))]
+
+
 def test_galaga_of_one_begins_before_the_tank_aims_well_and_plays_a_history_in_sight():
-    config = presets.preset("galaga-1v1")
-    aim, fly, match = (configuration.stage(config, number) for number in range(3))
+    aim, fly, match = stages("galaga-1v1")
     assert (aim.budget.steps, aim.budget.success) == (3_000_000, None)
     assert aim.arena.buffer == fly.arena.buffer == match.arena.buffer == 8
     assert match.arena.rich
@@ -138,8 +142,7 @@ def test_galaga_of_one_begins_before_the_tank_aims_well_and_plays_a_history_in_s
 
 
 def test_galaga_of_two_learns_together_from_even_starts_by_a_narrow_ray():
-    config = presets.preset("galaga-2v2")
-    aim, fly, match = (configuration.stage(config, number) for number in range(3))
+    aim, fly, match = stages("galaga-2v2")
     assert (aim.budget.steps, aim.budget.success) == (1_500_000, None)
     assert aim.arena.buffer == fly.arena.buffer == match.arena.buffer == 14
     assert match.arena.rich
