@@ -275,10 +275,11 @@ def bench_command(task: Task, method: str, entries: Sequence[Entry], args: argpa
         f"{'' if task.alike else f'{side}='}{entry.folder}/{side}.safetensors" for side in task.teams for entry in done
     ]
     games = [] if task.exact else ["--games", str(args.games)]
+    track = ["--track", args.track] if args.track else []
     return [
         sys.executable, "-m", "league", "bench", task.name, "--entry", *files, "--name", method, "--about",
         f"{ABOUT[method]}: {own:,} decisions{population}; {worlds} worlds; seeds {seeds} (experiments/baselines.py)",
-        "--out", str(out), *games,
+        "--out", str(out), *games, *track,
     ]  # fmt: skip
 
 
@@ -314,6 +315,7 @@ def parsed(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=1, help="leagues at once; several GPUs are shared out")
     parser.add_argument("--store", type=Path, default=Path("runs/baselines"), help="the store of all leagues")
     parser.add_argument("--enter", type=Path, metavar="FOLDER", help="train nothing: measure what --out has")
+    parser.add_argument("--track", help="of the tasks, with --enter")
     parser.add_argument("--games", type=int, default=GAMES, help="of each pair, with --enter")
     args = parser.parse_args(argv)
     for name in ("steps", "worlds", "snapshots", "episodes", "jobs"):

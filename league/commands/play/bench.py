@@ -13,7 +13,7 @@ from league.config import text_files
 from league.config.schema import ConfigError
 from league.config.sections import check_name
 from league.runs.bench import tasks
-from league.runs.bench.tasks import GAMES, TASKS, Task
+from league.runs.bench.tasks import GAMES, TASKS, TRACKS, Task
 from storage.blobs.files import require_writable
 
 WHAT = """Measure a policy against the public references of a frozen task, and write the result as one JSON file:
@@ -40,6 +40,8 @@ class BenchOptions:
     """The entry's name in tables."""
     about: str = ""
     """A line about it: the learner, its steps and seeds."""
+    track: str | None = None
+    """The task's track that it keeps to, such as 50M; `league bench TASK` lists them (none: none of them)."""
     out: str | None = None
     """The file to write, never over another one (none: TASK-NAME.json)."""
     games: int = field(default=GAMES, metadata={"low": 2})
@@ -100,9 +102,13 @@ def _measure(task: Task, options: BenchOptions) -> int:
     default = BenchOptions()
     if task.exact and (given := [each for each in OF_GAMES if getattr(options, each) != getattr(default, each)]):
         raise ConfigError((given[0],), f"--{given[0]} is for games, and {task.name} plays none: leave it out")
+    if options.track not in (None, *task.tracks):
+        raise ConfigError(
+            ("track",), f"--track is {options.track!r}, and {task.name} has {', '.join(task.tracks) or 'no tracks'}"
+        )
     request = Request(
-        name=options.name, about=options.about, games=options.games, seed=options.seed, against=options.against,
-        attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),
+        name=options.name, about=options.about, track=options.track, games=options.games, seed=options.seed,
+        against=options.against, attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),
     )  # fmt: skip
     try:
         with Progress("league bench") as progress:
@@ -160,6 +166,8 @@ def _all_about(task: Task) -> str:
         lines.append(render(rows, (Column("reference", no_wrap=True), "side", "kind", "about")))
     if task.lacks:
         lines.append(f"Missing: {task.lacks}.")
+    if task.tracks:
+        lines.append(f"Tracks: {'; '.join(f'{name} ({TRACKS[name]})' for name in task.tracks)}.")
     wanted = "FILE" if task.alike else " ".join(f"{team}=FILE" for team in task.teams)
     taken = "It takes files of `league export`, no programs. " if task.exact else ""
     lines.append(f"What robots see and do: {task.arena_command}")

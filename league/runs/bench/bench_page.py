@@ -16,12 +16,12 @@ from league.runs.bench.tasks import GAMES, TASKS, Task
 
 Entries = Mapping[Path, Mapping[str, Any]]
 PLAYED = (
-    Column("rank", decimals=0), Column("entry", no_wrap=True), "record", "references", Column("elo", "Elo", 0),
+    Column("rank", decimals=0), Column("entry", no_wrap=True), "track", "record", "references", Column("elo", "Elo", 0),
     Column("error", "±", 0), Column("range", "lowest to highest"), Column("worst score", no_wrap=True),
     "exploitability", Column("voids", "void %", 2), Column("policies", decimals=0), "side",
     Column("games", "games a pair"),
-    Column("population", "population against references", 3), Column("seconds", "seconds to 75 %", 0), "package",
-    "commit", Column("about", no_wrap=True),
+    Column("population", "population against references", 3), Column("cross_play", "cross-play"),
+    Column("seconds", "seconds to 75 %", 0), "package", "commit", Column("about", no_wrap=True),
 )  # fmt: skip
 EXACT = (
     Column("rank", decimals=0), Column("entry", no_wrap=True), Column("policies", decimals=0),
@@ -86,7 +86,8 @@ def _played_row(task: Task, entry: Mapping[str, Any], team: str) -> dict[str, An
         "range": f"{elo.min():.0f} to {elo.max():.0f}" if len(own) > 1 else None,
         "worst score": f"{_percent(worst)} against {worst['against']}", "exploitability": _attacked(entry, own),
         "seconds": entry["metrics"]["seconds_to_75"],
-        "population": population, "voids": 100 * float(np.mean([each["voids"] for each in own])),
+        "population": population, "cross_play": _cross_play(entry), "track": entry["track"],
+        "voids": 100 * float(np.mean([each["voids"] for each in own])),
         "games": entry["games"], "record": "trial" if entry["trial"] else "yes",
         "references": f"{min(len(each['scores']) for each in own)} of {_met_by(task, team)}",
         "ranked": all(each["ranked"] for each in own),
@@ -106,6 +107,15 @@ def _attacked(entry: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> str
         return "not measured"
     most = max(found, key=lambda each: each["score"])
     return f"attackers score {_percent(most)} after {most['attacker_steps']:,} steps"
+
+
+def _cross_play(entry: Mapping[str, Any]) -> str | None:
+    """Return how far the seeds of an entry differ in the games between them, in points; None for one seed."""
+    if (found := entry["metrics"]["cross_play"]) is None:
+        return None
+    if "spread" in found:
+        return f"{100 * found['spread']:.1f} from ½"
+    return f"{100 * found['off_diagonal_less_diagonal']:+.1f} off the diagonal"
 
 
 def _exact_row(entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,10 +21,12 @@ KEYS = (
     "format", "name", "about", "task", "config_hash", "references", "package", "commit", "versions", "device", "engine",
     "seed", "games", "trial", "seconds", "policies", "rows", "attacks", "curve", "metrics", "digest",
 )  # fmt: skip
+LATER: Mapping[str, Any] = {"track": None}
+"""Keys that entries of earlier versions lack, and what they mean there."""
 TYPES: Mapping[str, Any] = {
     **dict.fromkeys(("name", "about", "task", "config_hash", "references", "package", "device", "engine"), str),
     **dict.fromkeys(("policies", "rows", "attacks", "curve"), list), "metrics": dict, "games": int, "trial": bool,
-    "commit": str | None,
+    "commit": str | None, "track": str | None,
 }  # fmt: skip
 
 
@@ -41,7 +43,7 @@ def digest(content: Mapping[str, Any]) -> str:
 def write(path: Path, content: Mapping[str, Any]) -> None:
     """Write an entry with its digest to a new file. Raises StorageError where the file exists."""
     whole = {**content, "digest": digest(content)}
-    text = json.dumps({key: whole[key] for key in KEYS}, indent=1, allow_nan=False)
+    text = json.dumps({key: whole[key] for key in (*KEYS, *LATER) if key in whole}, indent=1, allow_nan=False)
     with new_file(path) as file:
         file.write(f"{text}\n".encode())
 
@@ -69,6 +71,7 @@ def read(path: Path) -> dict[str, Any]:
         whole = False
     if not whole:
         raise EntryError(f"{path} was edited: its content is not that of its digest. Run `league bench` again.")
+    content = {**LATER, **content}
     if wrong := [key for key, kind in TYPES.items() if not isinstance(content[key], kind)]:
         raise EntryError(f"{path} is no entry of `league bench`: its {wrong[0]} is of another type.")
     check_task(path, content)
@@ -82,7 +85,13 @@ def check_task(path: Path, content: Mapping[str, Any]) -> Task:
         raise EntryError(
             f"{path} was played under configuration {content['config_hash']}, and {task.name} is {task.config_hash}."
         )
+    if content["track"] not in (None, *task.tracks):
+        raise EntryError(f"{path} names the track {content['track']!r}, and {task.name} has {_tracks(task)}.")
     return task
+
+
+def _tracks(task: Task) -> str:
+    return ", ".join(task.tracks) or "none"
 
 
 def folder(path: Path) -> dict[Path, dict[str, Any]]:

@@ -35,6 +35,7 @@ class Request:
 
     name: str
     about: str = ""
+    track: str | None = None  # a name of tasks.TRACKS
     games: int = GAMES
     seed: int | None = None  # None: that of records
     against: tuple[str, ...] = ()  # names of references; empty: all
@@ -83,7 +84,7 @@ def evaluate(
         "commit": code().get("commit"), "versions": versions(), "device": device(), "engine": "c", "seed": seed,
         "games": 0 if task.exact else request.games, "trial": request.trial and not task.exact,
         "seconds": round(time.monotonic() - began, 1), "policies": [e.as_json() for e in entrants], "rows": rows,
-        "attacks": attacks, "curve": curve,
+        "attacks": attacks, "curve": curve, "track": request.track,
         "metrics": measured(task, [e.name for e in entrants], rows, attacks, curve, known),
     }  # fmt: skip
 

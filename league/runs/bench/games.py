@@ -42,7 +42,7 @@ class BenchLeague:
         """
         rows = []
         for number in range(games // self.batch):
-            task = RatingMatch(((a, b),), crc32(f"{self.task.name}/{seed}/{b}/{number}".encode()), record=False)
+            task = RatingMatch(((a, b),), batch_seed(self.task, seed, b, number), record=False)
             (match,) = self.evaluator.play(self.opened.store, task)
             assert isinstance(match, Match)
             rows.append(row_of(match))
@@ -58,6 +58,11 @@ class BenchLeague:
     def batch(self) -> int:
         """Number of games that are played at once."""
         return self.evaluator.groups * self.evaluator.each
+
+
+def batch_seed(task: Task, seed: int, b: str, number: int) -> int:
+    """Return the seed of batch `number`, from 0, of games against `b` in an entry that was played from `seed`."""
+    return crc32(f"{task.name}/{seed}/{b}/{number}".encode())
 
 
 @contextmanager

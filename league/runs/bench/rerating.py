@@ -1,7 +1,7 @@
 """Ratings computed again from the rows of entries: the check of a pull request."""
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 from league.runs.bench import references, tasks
 from league.runs.bench.entry_file import EntryError
 from league.runs.bench.evaluation import measured
+from league.runs.bench.games import batch_seed
 from league.runs.bench.references import ReferenceSet
 from storage.errors import StorageError
 
@@ -38,7 +39,7 @@ def differences(content: Mapping[str, Any]) -> list[str]:
         return ["it met references that this version does not know: run `league bench` again"]
     found = again(content, known)
     lines = [line for key in found for line in _unlike(key, content["metrics"].get(key), found[key])]
-    return [*_unlike_games(content, known), *lines]
+    return [*_unlike_games(content, known), *_unlike_seeds(content), *lines]
 
 
 def _unlike_games(content: Mapping[str, Any], known: ReferenceSet) -> Iterator[str]:
@@ -65,6 +66,20 @@ def _unlike_games(content: Mapping[str, Any], known: ReferenceSet) -> Iterator[s
     trial = missing or seed != task.seed or min(counts.values(), default=0) < tasks.GAMES
     if trial != content["trial"]:
         yield f"trial is {content['trial']!r}, and its rows, references and seed make it {trial!r}"
+
+
+def _unlike_seeds(content: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line if rows were not played from the entry's `seed`."""
+    task, seed = tasks.find(content["task"]), content.get("seed")
+    if task.exact:
+        return
+    pairs: defaultdict[tuple[str, str], list[int]] = defaultdict(list)
+    for row in content["rows"]:
+        pairs[row["a"], row["b"]].append(row["seed"])
+    for (a, b), found in pairs.items():
+        if found != [batch_seed(task, seed, b, number) for number in range(len(found))]:
+            yield f"seed is {seed!r}, and the games of {a} against {b} begin from other seeds"
+            return
 
 
 def references_of(content: Mapping[str, Any]) -> ReferenceSet | None:

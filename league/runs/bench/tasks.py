@@ -23,6 +23,15 @@ GAMES = 2048
 BATCH = 256
 """Maximum number of games played at once, from one seed."""
 MUJOCO = "3.17.0"
+TRACKS: Mapping[str, str] = {
+    "50M": "50 million decisions of a side",
+    "200M": "200 million decisions of a side",
+    "10min": "10 minutes of one GPU",
+    "1h": "an hour of one GPU",
+    "30min-cpu": "30 minutes of two cores",
+}
+"""What an entry may learn for, its population included, by the name of the track. Nothing but its own word says so."""
+OF_ROBOTS = ("50M", "200M", "10min", "1h")
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,7 @@ class Task:
     exact: bool = False  # entries have an exact exploitability, and play no matches
     package: str = "0.3.0"  # version of the package with which the task was frozen
     lacks: str = ""  # references that still have to be trained
+    tracks: tuple[str, ...] = OF_ROBOTS  # names of TRACKS
 
     @property
     def alike(self) -> bool:
@@ -91,7 +101,7 @@ SEEDS = "learners of other seeds and exploiters wait for GPU time"
 
 
 def _cards(game: str, config_hash: str, roster: str, about: str) -> Task:
-    return Task(f"t0-{game}-v1", game, config_hash, {"blue": roster, "red": roster}, about, exact=True)
+    return Task(f"t0-{game}-v1", game, config_hash, {"blue": roster, "red": roster}, about, exact=True, tracks=())
 
 
 TASKS: Mapping[str, Task] = {
@@ -102,7 +112,7 @@ TASKS: Mapping[str, Task] = {
         _cards("dark-hex-3", "f21c81b528f09517", "hex:20:9", "dark hex on 3 by 3 cells; exact exploitability"),
         Task(
             "t1-sumo-rovers-v1", "sumo-2v2", "6345d6398370febf", {"blue": ROVERS, "red": ROVERS},
-            "two rovers push two rovers out of a ring that shrinks; for a laptop",
+            "two rovers push two rovers out of a ring that shrinks; for a laptop", tracks=tuple(TRACKS),
         ),
         Task(
             "t2-sumo-unlike-v1", "sumo-by-team", "53ad9c7220344f80",

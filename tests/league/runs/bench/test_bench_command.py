@@ -3,20 +3,23 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 
+from dashboards.web.document import document
 from league.commands import cli
 from league.matches.exact_exploitability import KnownGame
-from league.runs.bench import entry_file, references, rerating
+from league.runs.bench import bench_page, entry_file, references, rerating
 from league.runs.bench.tasks import TASKS
 from tests.league.conftest import said
 from tests.league.runs.bench.files import network
 from tests.league.snapshots.test_programs import gemm
 
 SUMO, UNLIKE, KUHN = "t1-sumo-rovers-v1", "t2-sumo-unlike-v1", "t0-kuhn-poker-v1"
+ENTRIES = Path(__file__).parents[4] / "benchmarks" / "entries"
 SHIPPED = ("blue=anymals-sumo", "red=leatherbacks-sumo")
 SLOW = "import time\nimport numpy as np\n\ndef slow(x):\n    time.sleep(0.2)\n    return np.zeros((len(x), 2))\n"
 
@@ -29,6 +32,7 @@ def entry(tmp_path_factory):
     (folder / "entries").mkdir()
     out = folder / "entries" / "mine.json"
     words = ["--entry", mine, "--games", "8", "--against", "idle,pusher", "--name", "mine", "--about", "a <b>layer</b>"]
+    words += ["--track", "30min-cpu"]
     with pytest.raises(SystemExit) as ended:
         cli.main(["bench", SUMO, *words, "--out", str(out)])
     assert not ended.value.code
@@ -62,6 +66,15 @@ def test_its_page_shows_it_and_asks_for_nothing(entry, tmp_path, capsys):
     assert "default-src 'none'" in text
     assert "a &lt;b&gt;layer&lt;/b&gt;" in text
     assert re.search(r"<td[^>]*>trial</td>", text)
+    assert re.search(r"<td[^>]*>30min-cpu</td>", text)
+
+
+def test_the_page_has_the_cross_play_of_seeds():
+    entries = {path: entry_file.read(path) for path in ENTRIES.glob("t[12]-*-latest.json")}
+    assert {entry["task"] for entry in entries.values()} == {SUMO, UNLIKE}
+    text = document(bench_page.page(entries))
+    assert "2.7 from ½" in text
+    assert "+2.5 off the diagonal" in text
 
 
 def test_an_edited_entry_is_refused_by_page_and_count(entry, tmp_path, capsys):
@@ -86,13 +99,27 @@ def test_a_forged_entry_is_noticed_by_its_rows(entry, tmp_path, capsys):
     assert (code, err.count("\n"), "contradicts itself" in err) == (2, 1, True)
 
 
-@pytest.mark.parametrize(("key", "value"), [("trial", False), ("games", 2048)])
+@pytest.mark.parametrize(("key", "value"), [("trial", False), ("games", 2048), ("seed", 7)])
 def test_a_trial_that_was_forged_into_a_record_is_noticed(key, value, entry, tmp_path, capsys):
     content = json.loads(entry.read_text())
     del content["digest"]
     entry_file.write(tmp_path / "mine.json", content | {key: value})
     code, out, _ = said(capsys, "bench", "rerate", str(tmp_path))
     assert (code, f"{key} is {value}, and" in out) == (1, True)
+
+
+@pytest.mark.parametrize(("change", "why"), [({"track": "1d"}, "names the track '1d', and"), ({"track": 3}, "type")])
+def test_a_track_that_a_task_does_not_have_is_refused(change, why, entry, tmp_path, capsys):
+    entry_file.write(tmp_path / "mine.json", json.loads(entry.read_text()) | change)
+    code, _, err = said(capsys, "bench", "rerate", str(tmp_path))
+    assert (code, err.count("\n"), why in err) == (2, 1, True), err
+
+
+def test_an_entry_without_a_track_is_read_as_before(entry, tmp_path):
+    content = json.loads(entry.read_text())
+    del content["track"]
+    entry_file.write(tmp_path / "mine.json", content)
+    assert entry_file.read(tmp_path / "mine.json")["track"] is None
 
 
 @pytest.mark.parametrize(
@@ -163,6 +190,8 @@ REFUSED = {
     "no curve": ([SUMO, "--entry", "{one}", "--curve", "{slow}"], "line 1: 'import time' is not SECONDS,FILE"),
     "unlike sides": ([UNLIKE, "--entry", *SHIPPED, "--curve", "{curve}"], "--curve is for tasks of like sides, and"),
     "no such reference": ([SUMO, "--entry", "{one}", "--against", "king"], "There is no reference 'king'"),
+    "no such track": ([SUMO, "--entry", "{one}", "--track", "1d"], "--track is '1d', and t1-sumo-rovers-v1 has 50M,"),
+    "an exact task's track": ([KUHN, "--entry", "{one}", "--track", "1h"], "t0-kuhn-poker-v1 has no tracks"),
     "no task": (["--name", "x"], "league bench needs a TASK"),
     "a program in an exact task": ([KUHN, "--entry", "{kuhn}"], "is a program, whose probabilities cannot be read"),
     "games in an exact task": ([KUHN, "--entry", "{kuhn}", "--attack", "9"], "--attack is for games, and t0-kuhn"),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dashboards.web.document import document
 from league.runs.bench import attackers, bench_page, entry_file, metrics, references, rerating
-from league.runs.bench.games import match_of
+from league.runs.bench.games import batch_seed, match_of
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import find
 from scripts import bench_references
@@ -16,7 +16,7 @@ SUMO, PURSUIT = find("t1-sumo-rovers-v1"), find("t5-pursuit-v1")
 
 def row(a: str, b: str, wins: int, draws: int, losses: int, **also):
     zero = {"first_side": [0, 0, 0], "seed_pairs": [0] * 5, "voids": 0, "voids_by_a": 0, "voids_by_b": 0, "steps": 1}
-    return {"a": a, "b": b, "seed": 1, "results": [wins, draws, losses], **zero, **also}
+    return {"a": a, "b": b, "seed": batch_seed(SUMO, SUMO.seed, b, 0), "results": [wins, draws, losses], **zero, **also}
 
 
 def scripts(*names: str, team: str | None = None) -> tuple[Reference, ...]:
@@ -123,7 +123,7 @@ def test_an_entry_stays_where_references_were_added_since(monkeypatch):
     content = {
         "name": "x", "about": "", "task": SUMO.name, "references": "former", "policies": [{"name": "e1"}],
         "rows": rows, "attacks": [], "curve": [], "metrics": told, "games": 64, "trial": True, "package": "",
-        "commit": None,
+        "commit": None, "seed": SUMO.seed, "track": None,
     }  # fmt: skip
     assert rerating.differences(content) == []
     assert rerating.differences(content | {"rows": [rows[0], row("e1", "pusher", 30, 0, 34)]})
