@@ -33,7 +33,7 @@ DEMOS = {
     "sumo": Demo("sumo-by-team", ("anymals-sumo", "leatherbacks-sumo"), "two ANYmals against two rovers in a ring"),
     "sumo-mixed": Demo("sumo-within-team", (MIXED, MIXED), "an ANYmal and a rover a side", 8),  # half are draws
     "push": Demo("block-push-anymal", ("anymal-push", "anymal-walk"), "two ANYmals, each pushes its block"),
-    "soccer": Demo("soccer-1v1", ("anymal-soccer", "leatherback-soccer"), "an ANYmal against a rover"),
+    "soccer": Demo("soccer-1v1", ("anymal-soccer-preset", "leatherback-soccer-preset"), "an ANYmal against a rover"),
     "galaga": Demo("galaga-1v1", ("minitank-galaga", "crazyflie-galaga"), "a tank against a drone"),
     "galaga-2v2": Demo("galaga-2v2", ("minitanks-galaga", "crazyflies-galaga"), "two tanks against two drones"),
     "walk": Demo("anymal-walk", ("anymal-walk",), "an ANYmal walks to a point"),

@@ -16,10 +16,10 @@ from league.runs.bench.tasks import GAMES, TASKS, Task
 
 Entries = Mapping[Path, Mapping[str, Any]]
 PLAYED = (
-    Column("rank", decimals=0), Column("entry", no_wrap=True), "track", "record", "references", Column("elo", "Elo", 0),
-    Column("error", "±", 0), Column("range", "lowest to highest"), Column("worst score", no_wrap=True),
-    "exploitability", Column("voids", "void %", 2), Column("policies", decimals=0), "side",
-    Column("games", "games a pair"),
+    Column("rank", decimals=0), Column("entry", no_wrap=True), Column("track", no_wrap=True), "record", "references",
+    Column("elo", "Elo", 0), Column("error", "±", 0), Column("range", "lowest to highest"),
+    Column("worst score", no_wrap=True), "exploitability", Column("voids", "void %", 2),
+    Column("policies", decimals=0), "side", Column("games", "games a pair"),
     Column("population", "population against references", 3), Column("cross_play", "cross-play"),
     Column("seconds", "seconds to 75 %", 0), "package", "commit", Column("about", no_wrap=True),
 )  # fmt: skip

@@ -3,6 +3,9 @@
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +238,18 @@ def test_an_entry_is_never_written_over(entry, bad, capsys):
     code, _, err = said(capsys, "bench", SUMO, "--entry", bad["one"], "--out", str(entry))
     assert (code, "exists: give another --out" in err) == (2, True)
     assert entry.read_bytes() == before
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_that_nothing_was_written(bad, tmp_path):
+    words = ["bench", SUMO, "--entry", bad["one"], "--games", "32", "--out", str(tmp_path / "x.json")]
+    with subprocess.Popen([sys.executable, "-m", "league", *words], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert any("games" in line for line in process.stderr)  # they are being played
+        process.send_signal(signal.SIGINT)
+        assert "stopped; nothing was written" in process.stderr.read()
+        assert process.wait(60) == 130
+    assert not list(tmp_path.iterdir())
 
 
 def test_tasks_are_listed_and_described(capsys):
