@@ -30,7 +30,7 @@ TRACKS: Mapping[str, str] = {
     "1h": "an hour of one GPU",
     "30min-cpu": "30 minutes of two cores",
 }
-"""What an entry may learn for, its population included, by the name of the track. Nothing but its own word says so."""
+"""Training that an entry had at most, its population included, by the name of the track; only its own word says so."""
 OF_ROBOTS = ("50M", "200M", "10min", "1h")
 
 
