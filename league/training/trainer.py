@@ -7,6 +7,7 @@ normaliser of its own. Two things are added: in some worlds the other teams may 
 generation ends (`league/scheduling/player_resets.py`) is snapshotted and may be reset.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -212,7 +213,7 @@ class Trainer:
         diverged: dict[str, object] = {}
         for name, losses in zip(names, taught, strict=True):
             if isinstance(losses, Diverged):
-                diverged[name] = losses
+                diverged[name] = self._reason(losses, figures.get(name, {}))
             elif name in figures:
                 if not losses:  # of a batch that is void as a whole
                     diverged.setdefault("", f"physics became unstable in every world of {name}")
@@ -223,6 +224,12 @@ class Trainer:
         for name in filter(None, diverged):
             raise PlayerDiverged(name, diverged[name])
         return figures
+
+    def _reason(self, error: Diverged, figures: Mapping[str, float]) -> str:
+        """Return what was not finite, and which command tells more if the arena gave it."""
+        given = [f"{name}s" for name in ("reward", "shaping") if not math.isfinite(figures.get(name, 0.0))]
+        asked = f" ({' and '.join(given)}); `league check {self.config.arena.name}` names the term"
+        return f"{error}{asked if given else ''}"
 
     def _introduce(self, matchups: Matchups) -> None:
         """Tell learners of other classes against whom they learn in this turn."""

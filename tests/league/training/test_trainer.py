@@ -295,6 +295,25 @@ def test_a_nan_in_an_actor_is_noticed_at_once_and_nothing_is_written(duel_store,
     assert next(p for p in duel_store.players(LEAGUE) if p.name == "red").setbacks == 0
 
 
+def test_a_dense_reward_that_is_not_finite_is_named_with_the_command_that_tells_more(duel_store, duel, monkeypatch):
+    config = settings()
+    trainer = turns(duel_store, config, duel, 1)
+    ready = trainer.programs.rollout.ready
+
+    def broken(*given):
+        def collect(*rest):
+            worlds, trajectory = ready(*given)(*rest)
+            return worlds, trajectory._replace(shaping=trajectory.shaping.at[0, 0].set(np.nan))
+
+        return collect
+
+    monkeypatch.setattr(trainer.programs.rollout, "ready", broken)
+    _, turn = claim(duel_store, config)
+    with pytest.raises(PlayerDiverged, match=r"not finite: rewards \(shapings\); `league check [\w-]+` names the term"):
+        for _ in trainer.turn(duel_store, turn, lambda: False):
+            pass
+
+
 def test_at_the_second_setback_in_a_row_a_player_is_paused_and_the_other_learns_on(duel_store, duel):
     config = settings()
     turns(duel_store, config, duel, 2)
