@@ -70,7 +70,7 @@ def _unlike_games(content: Mapping[str, Any], known: ReferenceSet) -> Iterator[s
 
 def _unlike_seeds(content: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line if rows were not played from the entry's `seed`."""
-    task, seed = tasks.find(content["task"]), content.get("seed")
+    task, seed = tasks.find(content["task"]), content["seed"]
     if task.exact:
         return
     pairs: defaultdict[tuple[str, str], list[int]] = defaultdict(list)
