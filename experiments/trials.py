@@ -5,7 +5,7 @@
 
 Each run is `league run` as typed, with a store of its own, `STORE/NAME-SEED`, until it ends or `--within` seconds are
 over; NAME is that of the preset, or of the file without its ending. The same command goes on with leagues that were
-stopped. A run leaves in OUT, once it has stopped:
+stopped. A run leaves in OUT, once it has stopped, and with `--every` each so many seconds before, as it is then:
 
 - `LEAGUE/SEED/PLAYER.safetensors` and `PLAYER-0.safetensors`, every player as it was last saved and at first; of a
   curriculum every stage is a league, `NAME.STAGE`. `experiments/cross_play.py OUT/LEAGUE` plays them;
@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from queue import SimpleQueue
@@ -151,19 +152,9 @@ def name_of(run: str) -> str:
     return run if run in PRESETS else Path(run).stem
 
 
-def trial(
-    args: argparse.Namespace, run: str, seed: int, stop: Callable[[], bool], variables: Mapping[str, str]
-) -> tuple[Path, dict[str, Any]]:
-    """Train one run from one seed until `stop` says so; write what it leaves, and return its JSON with the path."""
-    name, start = name_of(run), ["--preset", run] if run in PRESETS else [run]
-    where = args.store / f"{name}-{seed}"
-    where.mkdir(parents=True, exist_ok=True)
-    command = [
-        sys.executable, "-m", "league", "run", *start, "--store", str(where), "--league", name, "--seed", str(seed),
-        "--budget.rating_time", "0s", *args.flags,
-    ]  # fmt: skip
-    began = run_within(command, args.store / f"{name}-{seed}.txt", args.within, stop, variables)
-    took, leagues = time.time() - began, {}
+def leave(args: argparse.Namespace, name: str, seed: int, command: Sequence[str], began: float) -> dict[str, Any]:
+    """Write what a run has by now, and return its JSON. Raises StorageError before its store exists."""
+    where, took, leagues = store_of(args, name, seed), time.time() - began, {}
     with Store.open(where) as store:
         for each in store.leagues():
             if store.players(each.name):
@@ -173,9 +164,43 @@ def trial(
         "stages": stage_times(where, began), "leagues": leagues,
     }  # fmt: skip
     print(f"{name}, seed {seed}: {took:.0f} s; {told(leagues)}", flush=True)
-    path = args.out / f"{name}-{seed}.json"
-    write(result, path)
-    return path, result
+    write(result, result_of(args, name, seed))
+    return result
+
+
+def store_of(args: argparse.Namespace, name: str, seed: int) -> Path:
+    """Return the folder of a run's store."""
+    return args.store / f"{name}-{seed}"
+
+
+def result_of(args: argparse.Namespace, name: str, seed: int) -> Path:
+    """Return the file of a run's JSON."""
+    return args.out / f"{name}-{seed}.json"
+
+
+def trial(
+    args: argparse.Namespace, run: str, seed: int, stop: Callable[[], bool], variables: Mapping[str, str]
+) -> tuple[Path, dict[str, Any]]:
+    """Train one run from one seed until `stop` says so; write what it leaves, and return its JSON with the path."""
+    name, start = name_of(run), ["--preset", run] if run in PRESETS else [run]
+    where, began = store_of(args, name, seed), time.time()
+    where.mkdir(parents=True, exist_ok=True)
+    command = [
+        sys.executable, "-m", "league", "run", *start, "--store", str(where), "--league", name, "--seed", str(seed),
+        "--budget.rating_time", "0s", *args.flags,
+    ]  # fmt: skip
+    due = began + args.every
+
+    def stopped() -> bool:
+        nonlocal due
+        if args.every and time.time() > due:
+            with suppress(StorageError):  # nothing has begun yet
+                leave(args, name, seed, command, began)
+            due = time.time() + args.every
+        return stop()
+
+    run_within(command, args.store / f"{name}-{seed}.txt", args.within, stopped, variables)
+    return result_of(args, name, seed), leave(args, name, seed, command, began)
 
 
 def told(leagues: Mapping[str, Mapping[str, Any]]) -> str:
@@ -195,6 +220,7 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("runs", nargs="+", metavar="RUN", help="a preset, or a file of settings (.toml)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED")
     parser.add_argument("--within", type=float, default=540.0, help="seconds of a run at most, from its command")
+    parser.add_argument("--every", type=float, default=0.0, help="seconds after which it leaves what it has (0: never)")
     parser.add_argument("--jobs", type=int, default=1, help="runs at once; several GPUs are shared out")
     parser.add_argument("--store", type=Path, required=True, help="the folder for the leagues' stores")
     own, further = split_arguments(list(argv))
