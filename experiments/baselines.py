@@ -274,11 +274,13 @@ def bench_command(task: Task, method: str, entries: Sequence[Entry], args: argpa
     files = [
         f"{'' if task.alike else f'{side}='}{entry.folder}/{side}.safetensors" for side in task.teams for entry in done
     ]
+    begun = f", begun as {' and '.join(after)}" if (after := STARTS[task.name].after) else ""
     games = [] if task.exact else ["--games", str(args.games)]
     track = ["--track", args.track] if args.track else []
     return [
         sys.executable, "-m", "league", "bench", task.name, "--entry", *files, "--name", method, "--about",
-        f"{ABOUT[method]}: {own:,} decisions{population}; {worlds} worlds; seeds {seeds} (experiments/baselines.py)",
+        f"{ABOUT[method]}{begun}: {own:,} decisions{population}; {worlds} worlds; seeds {seeds}"
+        " (experiments/baselines.py)",
         "--out", str(out), *games, *track,
     ]  # fmt: skip
 

@@ -235,6 +235,8 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
         )
     if not args.within > 0:
         parser.error(f"--within is {args.within}: give seconds above 0")
+    if not args.every >= 0:
+        parser.error(f"--every is {args.every}: give seconds, or 0")
     if args.jobs < 1:
         parser.error(f"--jobs is {args.jobs}: give 1 or more")
     return args
