@@ -17,6 +17,7 @@ from filelock import FileLock
 from arenas.arena import Arena
 from league.config import presets
 from storage.errors import StorageError
+from storage.records import Worker
 from storage.store import Store
 
 ROOT = Path(__file__).parents[2]
@@ -94,6 +95,30 @@ def hold(folder: Path, pid: int) -> None:
             except sqlite3.OperationalError:
                 os.kill(pid, signal.SIGCONT)
         time.sleep(0.05)
+
+
+def held_amid_a_turn(folder: Path, at_least: int) -> Worker:
+    """The train worker of the league `tiny`, stopped while it does a turn that begins at this iteration or later."""
+
+    def turn(store):
+        iteration = max((c.iteration for c in store.checkpoints("tiny")), default=-1)
+        return iteration >= at_least and store.jobs("tiny", "leased", "train")
+
+    def holder(store):
+        """Return the worker that holds the turn; one that was killed is listed for some seconds more."""
+        held = {int(job.holder.split(":")[1]) for job in turn(store) or () if job.holder}
+        return next((w for w in store.workers("tiny", 5) if w.pid in held), None)
+
+    while True:
+        learner = wait_for(folder, holder)
+        try:
+            hold(folder, learner.pid)
+        except ProcessLookupError:  # it has just been killed
+            continue
+        with Store.open(folder / "league-data") as store:
+            if turn(store):
+                return learner
+        os.kill(learner.pid, signal.SIGCONT)
 
 
 def ran_once(factory: pytest.TempPathFactory, name: str, *args: str) -> Path:

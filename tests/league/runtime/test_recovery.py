@@ -8,7 +8,7 @@ import pytest
 from league.system import exit_codes
 from storage.records import RATED_PURPOSES
 from storage.store import Store
-from tests.league.conftest import BODILESS, PUCKS, call, hold, start, wait_for
+from tests.league.conftest import BODILESS, PUCKS, call, held_amid_a_turn, start, wait_for
 
 LIMITS = ("--deterministic", "--budget.steps", "40000", "--budget.rating_time", "5m", "--workers.lease", "60")
 TWO = ("run", *PUCKS, *LIMITS)
@@ -18,10 +18,6 @@ HUNTED = (
     "--roles", '[{name = "main_exploiter", timeout = 9000}]',
 )  # fmt: skip
 UNRATED = ("--workers.match", "0")
-
-
-def iteration(store):
-    return max((c.iteration for c in store.checkpoints("tiny")), default=-1)
 
 
 def of_kind(store, kind):
@@ -37,29 +33,6 @@ def results(folder):
             store.matches("tiny"),
             store.jobs("tiny"),
         )
-
-
-def held_amid_a_turn(folder, at_least):
-    """The train worker, stopped while it does a turn that begins at this iteration or later."""
-
-    def turn(store):
-        return iteration(store) >= at_least and store.jobs("tiny", "leased", "train")
-
-    def holder(store):
-        """Return the worker that holds the turn; one that was killed is listed for some seconds more."""
-        held = {int(job.holder.split(":")[1]) for job in turn(store) or () if job.holder}
-        return next((w for w in store.workers("tiny", 5) if w.pid in held), None)
-
-    while True:
-        learner = wait_for(folder, holder)
-        try:
-            hold(folder, learner.pid)
-        except ProcessLookupError:  # it has just been killed
-            continue
-        with Store.open(folder / "league-data") as store:
-            if turn(store):
-                return learner
-        os.kill(learner.pid, signal.SIGCONT)
 
 
 def kill_manager(run, folder, *held):
