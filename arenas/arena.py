@@ -66,7 +66,7 @@ class Arena(Game):
 
     @final
     def step(self, state: State, actions: dict[str, Array]) -> State:
-        """Take one decision. Stepping a world that is done continues the simulation but changes no verdict."""
+        """Take one decision. A world that is done keeps its verdict, and on engine `c` its bodies no longer move."""
         return self.step_with_frames(state, actions)[0]
 
     @final
@@ -106,7 +106,7 @@ class Arena(Game):
         game = jax.tree.map(
             lambda old, new: jnp.where(state.done, old, new), state.game, self.decide(state.game, actions)
         )
-        pushed = self._designed(state, game)._replace(push=self.push(actions))
+        pushed = self.engine.rest(self._designed(state, game)._replace(push=self.push(actions)), state.done)
         carry = (pushed, game, first, state.void, state.at_fault, state.causes)
         carry, frames = jax.lax.scan(control_step, carry, self._step_many(pushed, frame_command), self.timing.hold)
         physics, game, verdict, void, at_fault, causes = carry

@@ -58,6 +58,7 @@ class Physics(NamedTuple):
     qacc: Array | None = None  # (nv,)
     model: dict[str, Array] = {}  # noqa: RUF012  (this world's own model fields, of those in VARIABLE)
     push: Array | None = None  # (pushed, 6) N, N·m: force and torque in the world on the engine's `pushed` bodies
+    resting: Array | None = None  # () bool: only time passes; None on engines that step all worlds alike
 
     @property
     def unstable(self) -> Array:
@@ -86,6 +87,7 @@ class Engine(ABC):
     """
 
     name: str
+    can_rest = False  # whether worlds that need not move can be left out of a step
 
     def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...] = (), pushed: Sequence[int] = ()):
         unknown = set(derived) - set(DERIVED)
@@ -127,9 +129,8 @@ class Engine(ABC):
         carry = self._carry(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(m.nv), jnp.zeros(m.na))
         own = self._fields(model or {})
         push = jnp.zeros((len(self.pushed), 6)) if self.pushed else None
-        return self._derive(
-            Physics(qpos, qvel, jnp.zeros(m.nu), jnp.zeros(()), no_cause(), carry, model=own, push=push)
-        )
+        zeros = jnp.zeros(m.nu), jnp.zeros(())
+        return self._derive(Physics(qpos, qvel, *zeros, no_cause(), carry, model=own, push=push, resting=self._awake()))
 
     def compile_ahead(self) -> None:
         """Start to compile, in threads, what the first step needs; loads nothing, and the engine may be used."""
@@ -202,6 +203,7 @@ class Engine(ABC):
                 carry=self._place(physics.carry, qpos, qvel, where),
                 model={name: jnp.where(where, new, physics.model[name]) for name, new in own.items()},
                 push=None if physics.push is None else jnp.where(where, 0.0, physics.push),
+                resting=None if physics.resting is None else physics.resting & ~where,
             )
         )
 
@@ -221,7 +223,19 @@ class Engine(ABC):
         carry = self._carry(qpos, qvel, saved["ctrl"], saved["warmstart"], saved["act"])
         own = {name.removeprefix("model/"): value for name, value in saved.items() if name.startswith("model/")}
         neutral = (qpos, qvel, saved["ctrl"], saved["time"], saved["causes"], carry)
-        return self._derive(Physics(*neutral, model=self._fields(own), push=saved.get("push")))
+        push, resting = saved.get("push"), self._awake()
+        return self._derive(Physics(*neutral, model=self._fields(own), push=push, resting=resting))
+
+    def rest(self, physics: Physics, where: Array) -> Physics:
+        """Let a world rest in the next steps where `where` () bool, and move elsewhere. Results of others never change.
+
+        An engine that computes all worlds alike moves them all.
+        """
+        return physics._replace(resting=where) if self.can_rest else physics
+
+    def _awake(self) -> Array | None:
+        """Return `Physics.resting` of a new world."""
+        return jnp.zeros((), bool) if self.can_rest else None
 
     def _wrenches(self, push: Array | None) -> dict[str, Array]:
         """Return MuJoCo's `xfrc_applied` (nbody, 6) with these pushes (pushed, 6), by its name; {} without any."""

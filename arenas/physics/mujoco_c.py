@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ class CEngine(Engine):
     """MuJoCo's C engine on all cores. The callback is stateless: it gets and returns the whole state."""
 
     name = "c"
+    can_rest = True
 
     def __init__(
         self, model: mujoco.MjModel, derived: tuple[str, ...] = (), pushed: Sequence[int] = (), *, threads: int = 0
@@ -59,9 +60,8 @@ class CEngine(Engine):
         sizes = dict(zip(STATE, (m.nq, m.nv, m.nv, m.na, m.nu), strict=True))
         shapes = {name: float_shape(hold, size) for name, size in sizes.items() if size}
         shapes["failed"] = jax.ShapeDtypeStruct((hold,), bool)
-        found = call_on_host(
-            partial(self._steps, n_substeps, law), shapes, self._state_arrays(physics, command), physics.model
-        )
+        state = self._state_arrays(physics, command)
+        found = call_on_host(partial(self._steps, n_substeps, law), shapes, state, physics.model, physics.resting)
         qpos, qvel, warmstart, act, ctrl = (found.get(name, jnp.zeros((hold, 0))) for name in STATE)
         return StepResult(qpos, qvel, ctrl, found["failed"], (warmstart, act))
 
@@ -80,9 +80,13 @@ class CEngine(Engine):
         sizes = {"xpos": (m.nbody, 3), "xquat": (m.nbody, 4), "sensordata": (m.nsensordata,)}
         sizes |= {"actuator_force": (m.nu,), "qacc": (m.nv,)}
         shapes = {name: float_shape(*sizes[name]) for name in self.derived}
-        return physics._replace(
-            **call_on_host(self._fields_of, shapes, self._state_arrays(physics, physics.ctrl), physics.model)
-        )
+        state = self._state_arrays(physics, physics.ctrl)
+        found = call_on_host(self._fields_of, shapes, state, physics.model, physics.resting)
+        for name, new in found.items():
+            before, resting = getattr(physics, name), physics.resting
+            if before is not None and resting is not None:
+                found[name] = jnp.where(resting, before, new)
+        return physics._replace(**found)
 
     def _state_arrays(self, physics: Physics, ctrl: Array) -> dict[str, Array]:
         """Return the inputs of a call, by MuJoCo's names."""
@@ -102,7 +106,7 @@ class CEngine(Engine):
                 np.copyto(own[name], value.reshape(own[name].shape))
         return rows
 
-    def _steps(self, n: int, law: Law | None, found: Arrays, state: Arrays, model: Arrays) -> None:
+    def _steps(self, n: int, law: Law | None, found: Arrays, state: Arrays, model: Arrays, resting: Any) -> None:
         """Fill `found`, (..., hold, size) each, with the state after each control step of `n` substeps.
 
         Each control step continues from the rounded float32 state, so a decision equals the same control steps one by
@@ -115,7 +119,7 @@ class CEngine(Engine):
             failed = np.zeros(worlds, bool)
             rows.batch.warning[:] = 0
             for control_step in range(hold):
-                failed |= rows.advance(n, law, command)
+                failed |= rows.advance(n, law, command, resting.ravel())
                 for name, values in found.items():
                     out = values.reshape(worlds, hold, *values.shape[found["failed"].ndim :])[:, control_step]
                     if name == "failed":
@@ -124,11 +128,11 @@ class CEngine(Engine):
                         _copy_as_float32(out, rows.state[name])
                         rows.state[name][:] = out
 
-    def _fields_of(self, found: Arrays, state: Arrays, model: Arrays) -> None:
+    def _fields_of(self, found: Arrays, state: Arrays, model: Arrays, resting: Any) -> None:
         with self._lock:
             rows = self._loaded(state, model)
             outputs = {name: rows.batch.bind(name) for name in found}
-            broken = rows.forward(self._stage)
+            broken = rows.forward(self._stage, resting.ravel())
             for name, values in found.items():
                 out = values.reshape(outputs[name].shape)
                 _copy_as_float32(out, outputs[name])
@@ -146,43 +150,51 @@ class Simulations:
         self.state = {name: batch.bind(name) for name in (*STATE, PUSH)}
         self.model = {name: batch.expand(name) for name in own}
 
-    def advance(self, n: int, law: Law | None, command: np.ndarray) -> np.ndarray:
-        """Advance all by `n` substeps. Return (worlds,) bool: MuJoCo failed, warned since warnings were last cleared,
-        or gave numbers that are not finite.
+    def advance(
+        self, n: int, law: Law | None, command: np.ndarray, resting: np.ndarray | Literal[False] = False
+    ) -> np.ndarray:
+        """Advance those that are not `resting` (worlds,) by `n` substeps. Return (worlds,) bool: MuJoCo failed, warned
+        since warnings were last cleared, or gave numbers that are not finite.
         """
         failed = np.zeros(self.batch.nsim, bool)
         for _ in range(1 if law is None else n):
             if law is not None:
                 self.state["ctrl"][:] = law(self.state["qpos"], self.state["qvel"], command)
-            failed |= self._step(n if law is None else 1)
+            failed |= self._step(n if law is None else 1, resting)
         return failed | self.batch.warning[:, :, 1].any(axis=1)  # (worlds, kinds, [detail, count]): bad numbers, ...
 
-    def forward(self, stage: mujoco.mjtStage) -> np.ndarray:
-        """Compute what follows from the states. Return (worlds,) bool: those whose numbers are not finite."""
+    def forward(self, stage: mujoco.mjtStage, resting: np.ndarray) -> np.ndarray:
+        """Compute what follows from the states of those that are not `resting` (worlds,).
+
+        Return (worlds,) bool: those whose numbers are not finite.
+        """
         broken = self._broken()
-        if not broken.all():
-            self.batch.forward(np.flatnonzero(~broken), stage=stage)
+        left_out = broken | resting
+        if not left_out.all():
+            self.batch.forward(np.flatnonzero(~left_out), stage=stage)
         return broken
 
-    def _step(self, n: int) -> np.ndarray:
-        """Advance all by `n` substeps. Return (worlds,) bool: MuJoCo failed, or numbers are not finite, as they stay.
+    def _step(self, n: int, resting: np.ndarray | Literal[False]) -> np.ndarray:
+        """Advance those that are not `resting` (worlds,) by `n` substeps. Return (worlds,) bool: MuJoCo failed, or
+        numbers are not finite, as they stay.
 
         The simulations of a thread share memory. In some models MuJoCo 3.17 damps no velocities of a simulation after
         it has stepped one that is all NaN. Broken simulations are therefore left out; if one breaks within the call,
         the others take it again without it, in new memory.
         """
         broken, failed = self._broken(), np.zeros(self.batch.nsim, bool)
+        left_out = broken | resting
         start = {name: values.copy() for name, values in self.state.items()}
         warnings = self.batch.warning.copy()
-        while not broken.all():
+        while not left_out.all():
             try:
-                self.batch.step(np.flatnonzero(~broken) if broken.any() else None, nstep=n)
+                self.batch.step(np.flatnonzero(~left_out) if left_out.any() else None, nstep=n)
             except SimulationError as error:
                 failed[error.ids] = True
             new = self._broken() & ~broken
             if not new.any():
                 break
-            broken |= new
+            broken, left_out = broken | new, left_out | new
             self._renew(start, warnings)
         for name in MOVING:
             self.state[name][broken] = np.nan

@@ -102,7 +102,8 @@ def test_what_was_decided_before_the_blow_up_stands(duel, stand):
     state = state._replace(physics=duel.place(state.physics, outside.qpos[None], outside.qvel[None], everywhere))
     lost = duel.step(state, duel.idle(1))
     assert lost.verdict.score.tolist() == [[0.0, 1.0]]
-    late = duel.step(lost, {name: a * jnp.nan for name, a in duel.idle(1).items()})
+    blown_up = lost.physics._replace(qpos=lost.physics.qpos * jnp.nan)
+    late = duel.step(lost._replace(physics=blown_up), {name: a * jnp.nan for name, a in duel.idle(1).items()})
     assert late.physics.unstable.all()
     assert not late.void.any()
     assert late.verdict.score.tolist() == [[0.0, 1.0]]
