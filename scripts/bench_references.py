@@ -24,7 +24,8 @@ import numpy as np
 from league.commands.cli import guarded
 from league.config import experiment
 from league.runs.bench import evaluation, metrics, references, tasks
-from league.runs.bench.games import Row, bench_league
+from league.runs.bench.games import bench_league
+from league.runs.bench.partial_rows import Row
 from league.runs.bench.references import FOLDER, Reference
 from league.runs.bench.tasks import Task
 from league.snapshots import policy_file

@@ -106,9 +106,11 @@ def _measure(task: Task, options: BenchOptions) -> int:
         raise ConfigError(
             ("track",), f"--track is {options.track!r}, and {task.name} has {', '.join(task.tracks) or 'no tracks'}"
         )
+    partial = path.with_name(f"{path.name}.part")
     request = Request(
         name=options.name, about=options.about, track=options.track, games=options.games, seed=options.seed,
         against=options.against, attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),
+        partial=None if task.exact else partial,
     )  # fmt: skip
     try:
         with Progress("league bench") as progress:
@@ -117,9 +119,11 @@ def _measure(task: Task, options: BenchOptions) -> int:
                 lambda line: print(f"league bench: {line}", file=sys.stderr),
             )  # fmt: skip
     except KeyboardInterrupt:
-        print("league bench: stopped; nothing was written, and the same command plays all games anew", file=sys.stderr)
+        kept = f"what was played is in {partial}, and the same command goes on from there"
+        print(f"league bench: stopped; {kept if partial.exists() else 'nothing was played yet'}", file=sys.stderr)
         raise
     entry_file.write(path, content)
+    partial.unlink(missing_ok=True)
     print(_result(task, content))
     print(f"Wrote {path}.")
     return 0

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any
 
 from league.config.sections import Budget
 from league.matches.exploitability import attack, bring_in, measure
 from league.runs.attack_run import train_attacker
-from league.runs.bench.games import BenchLeague, Row, row_of
+from league.runs.bench.games import BenchLeague, row_of
 from league.runs.bench.metrics import DIGITS
+from league.runs.bench.partial_rows import PartialRows, Row
 from league.runs.bench.tasks import Task
 from league.runtime.manager import ManagerError
 from matchmaking.ratings.scores import score_interval
@@ -19,24 +21,25 @@ TIMES = (1, 3)
 
 def attacks(
     league: BenchLeague, policies: Sequence[str], steps: int, seeds: Sequence[int], games: int,
-    tell: Callable[[str], None] = lambda line: None,
+    partial: PartialRows, tell: Callable[[str], None] = lambda line: None,
 ) -> list[Row]:  # fmt: skip
     """Train attackers of the league's policies; return the rows of their games, the attacker as A.
 
-    Each seed is an attacker of its own, against each policy. Raises ManagerError if one cannot learn, or was stopped.
+    Each seed is an attacker of its own, against each policy. Attacks that `partial` has are not made again, and it gets
+    the others. Raises ManagerError if an attacker cannot learn, or was stopped.
     """
     rows = []
-    for name in policies:
-        for seed in seeds:
-            for times in TIMES:
-                tell(f"attacker of {name}, seed {seed}, at least {times * steps:,} steps")
-                chosen = attack(league.opened, name, Budget(None, times * steps, "0s"), "scratch", seed)
-                attacker = train_attacker(league.opened, str(league.folder), chosen)
-                if attacker is None:
-                    raise ManagerError(f"the attacker of {name} was stopped: no result was written")
-                match = measure(bring_in(league.opened, attacker), games)
-                about = {"policy": name, "times": times, "attacker_steps": attacker.step, "attacker_seed": seed}
-                rows.append({**row_of(match), **about})
+    for name, seed, times in product(policies, seeds, TIMES):
+        about = {"policy": name, "times": times, "asked": times * steps, "attacker_seed": seed}
+        if (row := partial.find(**about)) is None:
+            tell(f"attacker of {name}, seed {seed}, at least {times * steps:,} steps")
+            chosen = attack(league.opened, name, Budget(None, times * steps, "0s"), "scratch", seed)
+            attacker = train_attacker(league.opened, str(league.folder), chosen)
+            if attacker is None:
+                raise ManagerError(f"the attacker of {name} was stopped: attacks that ended are kept")
+            match = measure(bring_in(league.opened, attacker), games)
+            row = partial.add({**row_of(match), **about, "attacker_steps": attacker.step})
+        rows.append(row)
     return rows
 
 

@@ -2,7 +2,6 @@
 
 import os
 import platform
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
@@ -15,8 +14,9 @@ from league.runs.bench import attackers, entry_file, exact, references
 from league.runs.bench import entrants as entries
 from league.runs.bench.attackers import exploitability
 from league.runs.bench.entrants import Entrant
-from league.runs.bench.games import BenchLeague, Row, bench_league
+from league.runs.bench.games import BenchLeague, bench_league
 from league.runs.bench.metrics import MIDDLE, metrics, seconds_to_75
+from league.runs.bench.partial_rows import PartialRows, Row
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import BATCH, GAMES, Task
 from league.snapshots.arena_transfer import changed_actions_of
@@ -42,6 +42,7 @@ class Request:
     attack: int | None = None  # steps of the shorter attack; None: exploitability is not measured
     attackers: int = 1  # seeds of attackers against each policy
     curve: tuple[tuple[float, str], ...] = ()  # seconds of training and the policy's file then, of one training
+    partial: Path | None = None  # the file of rows so far, which a run that was stopped left
 
     def __post_init__(self) -> None:
         if self.games < 2 or self.games % (2 if self.games <= BATCH else BATCH):
@@ -63,18 +64,19 @@ def evaluate(
 
     Raises ConfigError or StorageError, one line, for policies that do not fit, before anything is played.
     """
-    entrants, known, began = entries.read(task, words), references.of(task), time.monotonic()
+    entrants, known = entries.read(task, words), references.of(task)
     learnt = _of_curve(task, request, known)
     if not entrants:
         raise ConfigError(("entry",), f"league bench {task.name} needs --entry FILE: a policy to measure")
     seed = task.seed if request.seed is None else request.seed
+    partial = PartialRows(request.partial, _decisive(task, [*entrants, *learnt], known, request.games, seed))
     task.build()
     for line in _changed_actions(task, entrants):
         tell(line)
     rows, attacks = (
         (exact.rows(task, entrants), [])
         if task.exact
-        else _played(task, entrants, learnt, known, request, seed, progress, tell)
+        else _played(task, entrants, learnt, known, request, seed, partial, progress, tell)
     )
     times = sorted(seconds for seconds, _ in request.curve)
     curve = [{**each.as_json(), "seconds": time} for each, time in zip(learnt, times, strict=True)]
@@ -83,7 +85,7 @@ def evaluate(
         "config_hash": task.config_hash, "references": known.digest, "package": versions().get("robot-league", "?"),
         "commit": code().get("commit"), "versions": versions(), "device": device(), "engine": "c", "seed": seed,
         "games": 0 if task.exact else request.games, "trial": request.trial and not task.exact,
-        "seconds": round(time.monotonic() - began, 1), "policies": [e.as_json() for e in entrants], "rows": rows,
+        "seconds": round(partial.seconds, 1), "policies": [e.as_json() for e in entrants], "rows": rows,
         "attacks": attacks, "curve": curve, "track": request.track,
         "metrics": measured(task, [e.name for e in entrants], rows, attacks, curve, known),
     }  # fmt: skip
@@ -124,7 +126,7 @@ def _of_curve(task: Task, request: Request, known: ReferenceSet) -> list[Entrant
 
 def _played(
     task: Task, entrants: Sequence[Entrant], learnt: Sequence[Entrant], known: ReferenceSet, request: Request,
-    seed: int, progress: Progress, tell: Callable[[str], None],
+    seed: int, partial: PartialRows, progress: Progress, tell: Callable[[str], None],
 ) -> tuple[list[Row], list[Row]]:  # fmt: skip
     """Return the rows of all games of an entry, and those of its attackers."""
     chosen = [each for each in known.references if not request.against or each.name in request.against]
@@ -147,11 +149,22 @@ def _played(
             progress(done, len(pairs) * request.games)
 
         for a, b in pairs:
-            rows += league.play(a, b, request.games, seed, count)
+            rows += league.play(a, b, request.games, seed, count, partial)
         if request.attack is None:
             return rows, []
         names, seeds = [entrant.name for entrant in entrants], range(1, request.attackers + 1)
-        return rows, attackers.attacks(league, names, request.attack, seeds, request.games, tell)
+        return rows, attackers.attacks(league, names, request.attack, seeds, request.games, partial, tell)
+
+
+def _decisive(
+    task: Task, policies: Sequence[Entrant], known: ReferenceSet, games: int, seed: int
+) -> dict[str, str | int | None]:
+    """Return all that decides the rows of an entry, by name."""
+    return {
+        "task": task.name, "configuration": task.config_hash, "set of references": known.digest,
+        "version of the package": versions().get("robot-league", "?"), "commit": code().get("commit"),
+        "seed": seed, "number of games": games, **{f"policy {each.name}": each.digest for each in policies},
+    }  # fmt: skip
 
 
 def bring_in(league: BenchLeague, chosen: Sequence[Reference]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from league.config.schema import ConfigError
 from league.matches.exact_exploitability import KnownGame
 from league.runs.bench.entrants import Entrant
-from league.runs.bench.games import Row
+from league.runs.bench.partial_rows import Row
 from league.runs.bench.tasks import Task
 from league.snapshots.policy_file import Policy
 from matchmaking.extensive_games import best_response

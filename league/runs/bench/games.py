@@ -4,16 +4,16 @@ All entries meet a reference from the same seeds, in batches of `BATCH` games, o
 starts with sides swapped where sides are alike.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 from dashboards.system.temporary_folders import temporary_folder
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
+from league.runs.bench.partial_rows import PartialRows, Row
 from league.runs.bench.tasks import BATCH, Task
 from league.runtime.bootstrap import create
 from league.state.jobs import RatingMatch
@@ -21,7 +21,6 @@ from storage.records import ArenaKey, Match, PairCounts
 from storage.store import Store
 
 LEAGUE = "bench"
-Row = Mapping[str, Any]
 Progress = Callable[[int], None]
 
 
@@ -34,20 +33,26 @@ class BenchLeague:
     folder: Path
     evaluator: MatchEvaluator
 
-    def play(self, a: str, b: str, games: int, seed: int, progress: Progress = lambda games: None) -> list[Row]:
+    def play(
+        self, a: str, b: str, games: int, seed: int, progress: Progress = lambda games: None,
+        partial: PartialRows | None = None,
+    ) -> list[Row]:  # fmt: skip
         """Play a number of games, a multiple of the evaluator's batch, and return a row for each batch.
 
         The seeds of the batches depend on `seed` and on `b`, the reference; `progress` is called with the games of each
-        batch.
+        batch. Batches that `partial` has are not played again, and it gets the others.
         """
-        rows = []
+        rows, partial = [], partial or PartialRows(None, {})
         for number in range(games // self.batch):
-            task = RatingMatch(((a, b),), batch_seed(self.task, seed, b, number), record=False)
-            (match,) = self.evaluator.play(self.opened.store, task)
-            assert isinstance(match, Match)
-            rows.append(row_of(match))
+            own = batch_seed(self.task, seed, b, number)
+            rows.append(partial.find(a=a, b=b, seed=own) or partial.add(self._batch(a, b, own)))
             progress(self.batch)
         return rows
+
+    def _batch(self, a: str, b: str, seed: int) -> Row:
+        (match,) = self.evaluator.play(self.opened.store, RatingMatch(((a, b),), seed, record=False))
+        assert isinstance(match, Match)
+        return row_of(match)
 
     def make_room(self) -> None:
         """Prepare one program of matches for all that the league has."""

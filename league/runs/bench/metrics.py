@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from league.runs.bench.games import Row, match_of
+from league.runs.bench.games import match_of
+from league.runs.bench.partial_rows import Row
 from league.runs.bench.references import ReferenceSet
 from league.runs.bench.tasks import Task
 from matchmaking.metagame.alpharank import relative_population_performance

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,7 @@ def test_a_strangers_onnx_file_goes_through_the_bench(entry):
     assert content["trial"]
     assert content["policies"][0]["kind"] == "onnx"
     assert content["metrics"]["exploitability"] is None  # not measured
+    assert list(entry.parent.iterdir()) == [entry]  # the rows so far are no longer needed
 
 
 def test_what_it_tells_follows_from_its_rows(entry, capsys):
@@ -241,15 +243,26 @@ def test_an_entry_is_never_written_over(entry, bad, capsys):
 
 
 @pytest.mark.slow
-def test_ctrl_c_says_that_nothing_was_written(bad, tmp_path):
-    words = ["bench", SUMO, "--entry", bad["one"], "--games", "32", "--out", str(tmp_path / "x.json")]
+def test_what_ctrl_c_stops_goes_on(bad, tmp_path):
+    out, partial = tmp_path / "x.json", tmp_path / "x.json.part"
+    words = ["bench", SUMO, "--entry", bad["one"], "--games", "16", "--against", "idle,pusher", "--out", str(out)]
     with subprocess.Popen([sys.executable, "-m", "league", *words], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        assert any("games" in line for line in process.stderr)  # they are being played
+        while not partial.exists():
+            time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        assert "stopped; nothing was written" in process.stderr.read()
+        assert f"stopped; what was played is in {partial}" in process.stderr.read()
         assert process.wait(60) == 130
-    assert not list(tmp_path.iterdir())
+    assert not out.exists()
+    kept = json.loads(partial.read_text())
+    kept["rows"][0]["steps"] += 1  # a mark: the batch is not played again
+    partial.write_text(json.dumps(kept))
+    done = subprocess.run([sys.executable, "-m", "league", *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = entry_file.read(out)["rows"]
+    assert kept["rows"] == rows[: len(kept["rows"])]
+    assert {row["b"] for row in rows if row["a"] == "e1"} == {"idle", "pusher"}
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_tasks_are_listed_and_described(capsys):
