@@ -98,7 +98,8 @@ def _measure(task: Task, options: BenchOptions) -> int:
     path = Path(options.out or f"{task.name}-{options.name}.json")
     if path.exists():
         raise ConfigError(("out",), f"{path} exists: give another --out or --name, or remove it")
-    require_writable(path)
+    partial = path.with_name(f"{path.name}.part")
+    require_writable(partial)
     default = BenchOptions()
     if task.exact and (given := [each for each in OF_GAMES if getattr(options, each) != getattr(default, each)]):
         raise ConfigError((given[0],), f"--{given[0]} is for games, and {task.name} plays none: leave it out")
@@ -106,7 +107,6 @@ def _measure(task: Task, options: BenchOptions) -> int:
         raise ConfigError(
             ("track",), f"--track is {options.track!r}, and {task.name} has {', '.join(task.tracks) or 'no tracks'}"
         )
-    partial = path.with_name(f"{path.name}.part")
     request = Request(
         name=options.name, about=options.about, track=options.track, games=options.games, seed=options.seed,
         against=options.against, attack=options.attack, attackers=options.attackers, curve=_curve(options.curve),

@@ -50,7 +50,8 @@ class PartialRows:
             data = file.read(LIMIT)
         try:
             content = json.loads(data)
-            other, rows, seconds = dict(content["entry"]), list(content["rows"]), float(content["seconds"])
+            other, seconds = dict(content["entry"]), float(content["seconds"])
+            rows = [dict(row) for row in content["rows"]]
         except (ValueError, TypeError, KeyError, RecursionError):
             raise EntryError(f"{path} is damaged: remove it, and all games are played anew.") from None
         if different := [key for key in self._entry if other.get(key) != self._entry[key]]:
@@ -59,4 +60,5 @@ class PartialRows:
                 f"{path} has games of an entry with another {different[0]} ({before}, now {now}): give another --out,"
                 " or remove it."
             )
-        self._rows, self._began = rows, self._began - seconds
+        self._rows.extend(rows)
+        self._began -= seconds

@@ -53,7 +53,9 @@ def test_rows_of_another_entry_are_refused(left, now, why):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"entry": {}, "rows": 1}', '{"entry": 1, "rows": [], "seconds": 1}'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"entry": {}, "rows": [1], "seconds": 1}', '{"entry": 1, "rows": [], "seconds": 1}']
+)
 def test_a_damaged_file_is_refused(left, text):
     left.write_text(text)
     with pytest.raises(EntryError, match="is damaged: remove it"):
