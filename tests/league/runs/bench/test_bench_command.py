@@ -16,7 +16,7 @@ import pytest
 from dashboards.web.document import document
 from league.commands import cli
 from league.matches.exact_exploitability import KnownGame
-from league.runs.bench import bench_page, entry_file, references, rerating
+from league.runs.bench import bench_page, entrants, entry_file, references, rerating
 from league.runs.bench.tasks import TASKS
 from tests.league.conftest import said
 from tests.league.runs.bench.files import network
@@ -80,6 +80,15 @@ def test_the_page_has_the_cross_play_of_seeds():
     text = document(bench_page.page(entries))
     assert "2.7 from ½" in text
     assert "+2.5 off the diagonal" in text
+
+
+def test_policies_beside_an_entry_are_those_that_it_names():
+    folders = [path for path in ENTRIES.iterdir() if path.is_dir()]
+    assert folders
+    for folder in folders:
+        content = entry_file.read(ENTRIES / f"{folder.name}.json")
+        found = entrants.read(TASKS[content["task"]], [str(path) for path in sorted(folder.iterdir())])
+        assert [each.digest for each in found] == [each["sha256"] for each in content["policies"]]
 
 
 def test_an_edited_entry_is_refused_by_page_and_count(entry, tmp_path, capsys):
