@@ -17,6 +17,7 @@ Line = tuple[Sequence[float], Sequence[float]]
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
 """Colours that most colour-blind readers can distinguish, on dark and light (Okabe and Ito's, except for two)."""
 DASHES = ("solid", "dash", "dot", "dashdot")  # with more players than colours
+SYMBOLS = ("circle", "diamond", "square", "triangle-up")  # of markers, one for each dash
 SCORES = [[0.0, "#d55e00"], [0.5, "#e8e8e8"], [1.0, "#0072b2"]]
 POINTS = 400
 """Maximum number of points of a line: more could not be distinguished."""
@@ -46,7 +47,7 @@ def ladder(rows: Rows, merit: str = "elo") -> Figure:
                 "type": "data", "symmetric": False, "array": [row[high] - row[merit] for row in own],
                 "arrayminus": [row[merit] - row[low] for row in own],
             },
-            "marker": {"color": style["color"], "size": 8},
+            "marker": {"color": style["color"], "symbol": SYMBOLS[DASHES.index(style["dash"])], "size": 8},
         })  # fmt: skip
     order = [row["name"] for row in reversed(shown)]
     return _figure(

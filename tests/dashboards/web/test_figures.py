@@ -31,6 +31,12 @@ def test_a_ladder_has_each_rating_with_its_interval_and_the_best_on_top():
     assert "red" not in traces
 
 
+def test_more_players_than_colours_have_other_markers():
+    rows = [{**LADDER[0], "name": f"p{i}@4", "player": f"p{i}"} for i in range(12)]
+    markers = [trace["marker"] for trace in checked(figures.ladder([*rows, LADDER[1]])).values()]
+    assert len({(marker["color"], marker["symbol"]) for marker in markers}) == 13
+
+
 def test_where_there_is_one_team_success_is_shown():
     row = {"name": "blue@4", "player": "blue", "success": 0.5, "success_low": 0.4, "success_high": 0.7, "steps": 4}
     trace = checked(figures.ladder([row], "success"))["blue"]
