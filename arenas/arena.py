@@ -66,7 +66,7 @@ class Arena(Game):
 
     @final
     def step(self, state: State, actions: dict[str, Array]) -> State:
-        """Take one decision. A world that is done keeps its verdict, and on engine `c` its bodies no longer move."""
+        """Take one decision. Stepping a world that is done continues the simulation but changes no verdict."""
         return self.step_with_frames(state, actions)[0]
 
     @final
@@ -106,12 +106,17 @@ class Arena(Game):
         game = jax.tree.map(
             lambda old, new: jnp.where(state.done, old, new), state.game, self.decide(state.game, actions)
         )
-        pushed = self.engine.rest(self._designed(state, game)._replace(push=self.push(actions)), state.done)
+        pushed = self._designed(state, game)._replace(push=self.push(actions))
         carry = (pushed, game, first, state.void, state.at_fault, state.causes)
         carry, frames = jax.lax.scan(control_step, carry, self._step_many(pushed, frame_command), self.timing.hold)
         physics, game, verdict, void, at_fault, causes = carry
         alive, observations = self._alive_and_observations(physics, game, actions)
         return State(physics, game, observations, actions, verdict, void, at_fault, alive, causes), frames
+
+    @final
+    def rest_if_done(self, state: State) -> State:
+        """Let a world that is done stay where it is in the next step, on engines that can leave it out (`c`)."""
+        return state._replace(physics=self.engine.rest(state.physics, state.done))
 
     @final
     @full_float32

@@ -289,7 +289,7 @@ def _match(
             }
             decisions, memory = let_act(stacks, shown, keys, memory, jnp.broadcast_to(t == 0, keys.shape), None)
             actions = {agent: each.actions for agent, each in decisions.items()}
-            after, frames = jax.vmap(arena.step_with_frames)(state, actions)
+            after, frames = jax.vmap(arena.step_with_frames)(jax.vmap(arena.rest_if_done)(state), actions)
             records = EpisodeRecords(
                 jax.tree.map(lambda x: jnp.moveaxis(x[kept], 0, 1), frames),
                 {name: a[kept] for name, a in actions.items()},

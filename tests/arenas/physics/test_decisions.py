@@ -102,12 +102,27 @@ def test_what_was_decided_before_the_blow_up_stands(duel, stand):
     state = state._replace(physics=duel.place(state.physics, outside.qpos[None], outside.qvel[None], everywhere))
     lost = duel.step(state, duel.idle(1))
     assert lost.verdict.score.tolist() == [[0.0, 1.0]]
-    blown_up = lost.physics._replace(qpos=lost.physics.qpos * jnp.nan)
-    late = duel.step(lost._replace(physics=blown_up), {name: a * jnp.nan for name, a in duel.idle(1).items()})
+    late = duel.step(lost, {name: a * jnp.nan for name, a in duel.idle(1).items()})
     assert late.physics.unstable.all()
     assert not late.void.any()
     assert late.verdict.score.tolist() == [[0.0, 1.0]]
     assert late.verdict.reward.tolist() == [[0.0, 0.0]]
+
+
+def test_a_world_that_is_done_moves_on_unless_it_is_let_rest(duel, stand):
+    state = duel.reset(jax.random.split(jax.random.key(3), 2))
+    outside = stand(duel.arena, [(3.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+    places = (jnp.tile(x, (2, 1)) for x in (outside.qpos, outside.qvel))
+    state = state._replace(physics=duel.place(state.physics, *places, jnp.array([True, False])))
+    lost = duel.step(state, duel.idle(2))
+    assert lost.done.tolist() == [True, False]
+    forwards = {name: jnp.ones_like(a) for name, a in duel.idle(2).items()}
+    moved, rested = duel.step(lost, forwards), duel.step(jax.vmap(duel.arena.rest_if_done)(lost), forwards)
+    assert (moved.physics.qpos[0] != lost.physics.qpos[0]).any()
+    np.testing.assert_array_equal(rested.physics.qpos[0], lost.physics.qpos[0])
+    np.testing.assert_array_equal(rested.physics.qpos[1], moved.physics.qpos[1])
+    assert rested.verdict.score.tolist() == moved.verdict.score.tolist()
+    assert rested.done.tolist() == [True, False]
 
 
 @pytest.mark.parametrize("cut", [False, True], ids=["terminated", "truncated"])
