@@ -168,6 +168,18 @@ def test_every_world_plays_one_episode_and_stops(games, short_sumo):
     assert not games.at_fault.any()
 
 
+def test_a_world_rests_once_its_episode_is_over(games):
+    """On the C engine, which leaves it out of its steps."""
+    over = 0
+    for r, world in enumerate(RECORDED):
+        after = games.frames.qpos[games.decisions[world] :, :, r]
+        np.testing.assert_array_equal(
+            after, np.broadcast_to(games.frames.qpos[games.decisions[world] - 1, -1, r], after.shape)
+        )
+        over += len(after)
+    assert over
+
+
 def test_frames_hold_the_terms_that_the_rewards_are_made_of(games):
     terms = sum(term.sum(axis=1) for term in games.frames.rewards.values())  # over the control steps of a decision
     np.testing.assert_allclose(terms, games.reward, atol=1e-6)
