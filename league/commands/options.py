@@ -136,12 +136,12 @@ def spelt(args: Sequence[str]) -> list[str]:
     return ["--output" if word == "-o" else word for word in args]
 
 
-def without_arena_flags(args: Sequence[str]) -> tuple[list[str], flags.Given]:
-    """Return the arguments without the flags of the arena's settings, and these flags."""
+def without_settings(args: Sequence[str], *sections: str) -> tuple[list[str], flags.Given]:
+    """Return the arguments without the flags of settings in these sections, such as `arena`, and these flags."""
     own, given, words = [], {}, list(args)
     while words:
         word = words.pop(0)
-        if not word.startswith("--arena."):
+        if not word.startswith(tuple(f"--{section}." for section in sections)):
             own.append(word)
             continue
         name, equals, text = word[2:].partition("=")

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from dashboards.tables import Column, render
 from league.commands import help
-from league.commands.options import parse, positional, without_arena_flags
+from league.commands.options import parse, positional, without_settings
 from league.config import flags
 from league.config.schema import ConfigError
 
@@ -30,7 +30,7 @@ class ArenasOptions:
 
 def arenas(args: list[str]) -> int:
     """List the arenas, or describe one in full."""
-    own, given = without_arena_flags(args)
+    own, given = without_settings(args, "arena")
     options = parse(
         ArenasOptions, own, "arenas",
         "The arenas in a line each; of one that is named: its teams, what its robots see and do, rewards, scripts,"

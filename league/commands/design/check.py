@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from arenas.arena_settings import EngineName
-from league.commands.options import parse, positional, without_arena_flags
+from league.commands.options import parse, positional, without_settings
 from league.commands.progress_bar import report_kernels
 
 
@@ -23,7 +23,7 @@ def check(args: list[str]) -> int:
     A fault of the arena's own code, which may raise, exit or lack a hook, is reported as a failed promise with the line
     in its file. An unknown name is bad input.
     """
-    own, given = without_arena_flags(args)
+    own, given = without_settings(args, "arena")
     options = parse(
         CheckOptions, own, "check",
         "Examine an arena against the contract that the league relies on. Flags such as --arena.blue change its"

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dashboards.tables import Column, render
-from league.commands.options import Listing, parse, positional, without_arena_flags
+from league.commands.options import Listing, parse, positional, without_settings
 from league.commands.progress_bar import report_kernels
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
@@ -35,7 +35,7 @@ class GridOptions(Listing):
 
 def grid(args: list[str]) -> int:
     """Play, and print a row per snapshot; as JSON or CSV a row per cell."""
-    own, given = without_arena_flags(args)
+    own, given = without_settings(args, "arena")
     options = parse(GridOptions, own, "grid", WHAT)
     if not options.snapshots:
         raise ConfigError((), "league grid needs SNAPSHOTS: see league grid --help")
