@@ -67,7 +67,8 @@ class Ticker:
         if stage != "training":
             left = self._rating_left(state, stage)
             known = _against_initial(state) or _unknown(state)
-            parts = [stage, trouble_text(state), known, left, rated, f"{past} so far"]
+            awaited = _awaited(workers) if stage == "ending" else ""
+            parts = [stage, awaited, trouble_text(state), known, left, rated, f"{past} so far"]
         elif not training:
             none = "starting workers" if self.config.workers.train else "waiting for a `league worker` that trains"
             doing = next((str(said["doing"]) for said in learners if "doing" in said), none)
@@ -100,6 +101,14 @@ class Ticker:
         since = self._rating_since.setdefault(phase.number, time.monotonic())
         left = phase.until["seconds"] - (time.monotonic() - since)
         return f"{clock(left)} left" if left > 0.0 else "the last batch is being played"
+
+
+def _awaited(workers: Sequence[Worker]) -> str:
+    """Return what workers finish before the league ends: a batch of matches may take half a minute."""
+    doing = [str(w.status.get("doing", "")) for w in _of_this_run(workers)]
+    jobs = {"training": "an iteration", "rating": "a batch of matches"}
+    found = [text for job, text in jobs.items() if any(said.startswith(job) for said in doing)]
+    return f"finishing {' and '.join(found)}" if found else ""
 
 
 def _of_this_run(workers: Sequence[Worker]) -> list[Worker]:

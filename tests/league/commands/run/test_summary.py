@@ -111,6 +111,15 @@ def test_while_rating_it_tells_how_long_that_will_take(monkeypatch):
     assert "vs initial · the last batch is being played" in tell.line(state, "rating", [])
 
 
+def test_at_the_end_it_tells_what_is_waited_for():
+    rates = worker("match", doing="rating, 10 % of the last 30 s", pairs=8)
+    tell, state = ticker(), league_state(*PLAYED)
+    line = tell.line(state, "ending", [MANAGER, worker(**SAID), rates])
+    assert line.startswith("ending · finishing an iteration and a batch of matches · ")
+    assert tell.line(state, "ending", [MANAGER, worker(**SAID)]).startswith("ending · finishing an iteration · ")
+    assert tell.line(state, "ending", [MANAGER, worker("match", doing="waiting")]).startswith("ending · blue@64 97 %")
+
+
 def test_what_the_league_goes_on_without_is_said():
     players = [PLAYERS[0], replace(PLAYERS[1], paused="its policy was nan twice")]
     bad = Job("cup", "match", "match:1", state="failed", error="ValueError")
