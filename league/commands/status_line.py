@@ -31,7 +31,7 @@ class Ticker:
     every: float = 5.0
     began: float = field(default_factory=time.monotonic)
     _printed: float = 0.0
-    _warned: list[str] = field(default_factory=list)  # warnings about void episodes so far, by kind
+    _warned: list[str] = field(default_factory=list)  # warnings so far: kinds of void episodes, and pauses
     _rating_since: dict[int, float] = field(
         default_factory=dict
     )  # number of a phase -> time at which it was first seen
@@ -51,10 +51,12 @@ class Ticker:
             print(line, flush=True)
 
     def _warn(self, state: LeagueState, live: bool) -> None:
-        """Warn once each about training and rating if many episodes are void, with the cause and the remedy."""
+        """Warn once of many void episodes in training, of such in rating, and of each pause, with the cause."""
         new = [each for each in state.voids if each.what not in self._warned]
-        self._warned += [each.what for each in new]
-        for text in void_warnings(new):
+        why = {p.name: p.paused.strip().partition("\n")[0] for p in state.players if p.paused is not None}
+        paused = [said for name, reason in why.items() if (said := f"{name} is paused: {reason}") not in self._warned]
+        self._warned += [each.what for each in new] + paused
+        for text in [*void_warnings(new), *paused]:
             print(f"{CLEAR if live else ''}{wrapped(f'Warning: {text}')}", flush=True)
 
     def line(self, state: LeagueState, stage: str, workers: Sequence[Worker], width: int = NARROW) -> str:

@@ -23,6 +23,7 @@ from matchmaking.metagame.alpharank import ALPHA, POPULATION, Decomposition, Sel
 from matchmaking.metagame.mixtures import MixtureInterval, mixture_interval
 from matchmaking.metagame.nash import Equilibrium, nash
 from matchmaking.ratings.ladder import Ladder
+from matchmaking.ratings.payoff import Payoff
 from storage.errors import StorageError
 from storage.records import Snapshot
 
@@ -125,7 +126,7 @@ def meta(args: list[str]) -> int:
 
 def _of_league(options: MetaOptions) -> int:
     """Print the mixture of a league's payoff table, with the uncertainty that its games leave."""
-    found, _, _ = _league(options, options.rows, options.columns)
+    found, alone = _mixed(options)
     if options.solver == "alpharank" and not found.square:
         raise StorageError(
             "alpha-rank is of one population: these rows and columns are not the same snapshots; use --solver nash."
@@ -141,7 +142,7 @@ def _of_league(options: MetaOptions) -> int:
                 **{key: {row["name"]: row[key] for row in rows} for key in MIXED[1:]},
                 "value": solved.value, "value_low": bounds.value[0] if bounds else None,
                 "value_high": bounds.value[1] if bounds else None, "resamples": count,
-                "unknown_pairs": found.unknown, **_about(found),
+                "unknown_pairs": found.unknown, "left_out": alone, **_about(found),
             }))  # fmt: skip
         case "csv":
             print(render(rows, (), "csv"))
@@ -151,7 +152,7 @@ def _of_league(options: MetaOptions) -> int:
             columns += [Column(key, decimals=4) for key in MIXED[2:5]] if bounds else []
             columns += [Column("unmet", "not met")] if found.unknown else []
             value = _value(options, solved.value, None if found.square else bounds)
-            notes = [*_notes(found, None), *_left_out(found)]
+            notes = [*_notes(found, None), *_left_out(found), *_alone_left_out(alone)]
             print("\n\n".join([render(rows, columns), value, _drawn(count, found), *notes]))
     return 0
 
@@ -242,6 +243,30 @@ def _league(
     return table(ladder, snapshots, shown.players, rows, columns, newest), ladder, snapshots
 
 
+def _mixed(options: MetaOptions) -> tuple[Table, list[str]]:
+    """Return the table to solve, and the names that it leaves out because they have met one opponent alone.
+
+    An attacker of `league exploit` has won against its victim; what its rating expects against all others is no
+    evidence, and would make it the whole mixture. A pattern for rows or columns chooses it all the same.
+    """
+    with options.open() as opened:
+        shown = opened.shown(options.arena, options.engine)
+    ladder, snapshots = shown.ladders[0], shown.snapshots
+    fixed = {s.name for s in snapshots if s.player is None and not s.script}
+    alone = _met_one(ladder.payoff) & fixed if options.rows is options.columns is None else set()
+    kept = [s for s in snapshots if s.name not in alone]
+    return table(ladder, kept, shown.players, options.rows, options.columns), sorted(alone)
+
+
+def _met_one(payoff: Payoff) -> set[str]:
+    """Return the names of those that have met one opponent alone, which has met others."""
+    played = (payoff.home + payoff.away).sum(1) > 0
+    first, second = payoff.first[played], payoff.second[played]
+    met = np.bincount(np.concatenate([first, second]), minlength=len(payoff.names))
+    ends = np.concatenate([first[met[second] > 1], second[met[first] > 1]])
+    return {payoff.names[i] for i in ends if met[i] == 1}
+
+
 def _about(found: Table) -> dict[str, Any]:
     """Return facts about a table's pairs beside their scores, for programs."""
     shares = found.shares
@@ -309,6 +334,15 @@ def _left_out(found: Table) -> list[str]:
     return [wrapped(
         f"{len(found.rows)} × {len(found.columns)} of {found.asked[0]:,} × {found.asked[1]:,} snapshots: {SHOWN}."
         " --rows and --columns choose others; `league payoff --format csv` has all."
+    )]  # fmt: skip
+
+
+def _alone_left_out(names: Sequence[str]) -> list[str]:
+    if not names:
+        return []
+    return [wrapped(
+        f"Left out, because they have met one opponent alone: {', '.join(names)}. --rows '*' takes them in, and `league"
+        " run` lets them meet the others."
     )]  # fmt: skip
 
 

@@ -4,13 +4,14 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from league.commands import cli
 from storage.records import Meeting
 from tests.league.conftest import ENVIRONMENT
-from tests.league.leagues import filled, finish, match
+from tests.league.leagues import filled, finish, match, snapshot
 
 RPS = "rock,paper,scissors\n0,-1,1\n1,0,-1\n-1,1,0\n"
 
@@ -138,6 +139,22 @@ def test_cross_play_and_one_population_against_another(capsys, cup):
 def test_a_league_without_matches_has_no_table(capsys, tmp_path):
     filled(tmp_path / "new").close()
     assert "No rating match has been played yet" in refused(capsys, "payoff", "--store", tmp_path / "new")
+
+
+def test_an_attacker_that_has_met_its_victim_alone_is_no_part_of_the_mixture(capsys, tmp_path):
+    attacker = match("attacker", "blue@4", 40, 0)
+    with filled(tmp_path / "store", match("blue@1", "blue@0", 30, 10), match("blue@4", "blue@1", 30, 10)) as store:
+        fixed = snapshot(None, 0, store.blobs.put(b"attacker"), name="attacker")
+        store.add_snapshots([replace(fixed, script=None, origin="imported")])
+        finish(store, matches=[attacker])
+    text = said(capsys, "meta", "--store", tmp_path / "store")
+    assert "one opponent alone: attacker" in text
+    assert not text.startswith("attacker")
+    found = json.loads(said(capsys, "meta", "--store", tmp_path / "store", "--format", "json"))
+    assert found["mass"]["blue@4"] > 0.9
+    assert "attacker" not in found["mass"]
+    chosen = ("--rows", "*", "--columns", "*", "--format", "json")
+    assert json.loads(said(capsys, "meta", "--store", tmp_path / "store", *chosen))["mass"]["attacker"] > 0.9
 
 
 def test_who_loses_to_its_own_past_raises_the_alarm(capsys, tmp_path):

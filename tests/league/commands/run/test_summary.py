@@ -152,6 +152,16 @@ def test_it_is_printed_as_lines_where_there_is_no_terminal(capsys):
     assert lines[1].startswith("done")
 
 
+def test_why_a_player_is_paused_is_printed_once(capsys):
+    paused = [PLAYERS[0], replace(PLAYERS[1], paused="my.py:Mine.learn: AttributeError\nand more")]
+    tell = ticker()
+    for _ in range(2):
+        tell(league_state(*PLAYED, players=paused), "ending", [])
+    text = capsys.readouterr().out
+    assert text.count("Warning: red is paused: my.py:Mine.learn: AttributeError\n") == 1
+    assert "and more" not in text
+
+
 def test_a_summary_fits_once_and_says_who_is_better(monkeypatch):
     fits = []
     monkeypatch.setattr(ladders, "fit", lambda *args, **named: fits.append(1) or fit(*args, **named))
