@@ -153,8 +153,8 @@ def unknown(key: Key, options: Iterable[str]) -> ConfigError:
     near = [name for name in names if name.rpartition(".")[2] == key[-1]]  # without its table, or in a wrong table
     near = near or [name for name in names if _in_table_with(name, key)]  # budget.time: budget.training_time
     near = near or difflib.get_close_matches(".".join(key), names, 1)
-    meant = f"did you mean {' or '.join(map(_spelled, near))}? " if near else ""
-    return ConfigError(key, f"unknown option {_spelled(dotted(key))}: {meant}(--help lists all)")
+    meant = f": did you mean {' or '.join(map(_spelled, near))}?" if near else ""
+    return ConfigError(key, f"unknown option {_spelled(dotted(key))}{meant} (--help lists all)")
 
 
 def _in_table_with(name: str, key: Key) -> bool:
