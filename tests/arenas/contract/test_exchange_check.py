@@ -26,6 +26,14 @@ class Nearer(Race):
         return qpos.at[7:9].set(flag + 0.6 * (qpos[7:9] - flag)), qvel, flag
 
 
+class NearerDrawn(Nearer):
+    """Nobody ever wins, so that scores say nothing."""
+
+    def judge(self, before, physics, game):
+        game, verdict = super().judge(before, physics, game)
+        return game, verdict._replace(score=jnp.full(2, 0.5))
+
+
 class Taxed(Race):
     """Blue pays for time, and the score is fair."""
 
@@ -68,6 +76,16 @@ def test_a_start_that_favours_a_side_fails_the_check_by_the_scores():
     said = tried(Nearer(RaceSettings(rules=RaceRules(episode=4.0)), engine="c"))
     assert "one policy in all teams scores" in said
     assert "as blue" in said
+
+
+def test_a_start_that_favours_a_side_fails_the_check_if_all_games_are_draws():
+    said = tried(NearerDrawn(SHORT, engine="c"))
+    assert "at the start number" in said
+    assert "for blue/0 and" in said
+
+
+def test_a_fair_start_passes():
+    assert tried(Race(SHORT, engine="c")) == ""
 
 
 def test_undeclared_teams_have_nothing_to_keep():
