@@ -8,7 +8,8 @@ versions use the default model fields, because the situation is exchanged and no
 
 The starts of episodes can also favour a side, and exchanges do not reveal that. Therefore scores of one policy against
 itself are counted. If they lean to one side, or only one side has won, more episodes are played, until chance explains
-the lean well or is practically excluded.
+the lean well or is practically excluded. Draws say nothing about a lean, so the first observations of exchanged agents
+are compared too.
 """
 
 import math
@@ -23,6 +24,7 @@ from jax import Array
 
 from arenas.arena import Arena
 from arenas.contract.check_run import CLOSE, WORLDS, CheckRun, difference
+from arenas.game import Game
 from arenas.physics.engine import VARIABLE
 from arenas.rosters import bare
 from arenas.state import State, Verdict
@@ -34,6 +36,8 @@ P_PLAY_ON, P_UNEQUAL = (
     0.2,
     1e-4,
 )  # two-sided p-values: below the first more is played, below the second the sides are unequal
+STARTS = 32  # resets of WORLDS worlds whose first observations are compared
+LEAN = 6.0  # standard deviations; in a fair arena a number leans so far with a chance below 2 exp(-18)
 
 
 class Step(NamedTuple):
@@ -64,8 +68,14 @@ def problem(run: CheckRun) -> str:
         if ends or number % every == 0:
             for worlds in exchanged:
                 if found := worlds.differs(before, actions):
-                    return found
-    return _scores(run, last)
+                    return found + _hint(run)
+    return _scores(run, last) or _starts(run)
+
+
+def _hint(run: CheckRun) -> str:
+    """Name the hook that an arena with a game of its own may lack."""
+    lacks = type(run.arena).exchange is Game.exchange and jax.tree.leaves(run.first.game)
+    return "; if `game` keeps something by team, override `exchange()` to swap it" if lacks else ""
 
 
 def _orders(arena: Arena) -> list[tuple[int, ...]]:
@@ -213,6 +223,48 @@ def sign_test(points: list[float]) -> float:
     decided, least = won + lost, min(won, lost)
     tail = sum(math.comb(decided, k) for k in range(least + 1)) / 2**decided
     return min(1.0, 2.0 * tail)
+
+
+# Starts --------------------------------------------------------------------------------------------------------------
+
+
+def _starts(run: CheckRun) -> str:
+    """Describe a number that exchanged agents first observe unequally, on average; empty if there is none."""
+    keys = [jax.random.split(jax.random.fold_in(run.key, 2000 + i), WORLDS) for i in range(STARTS)]
+    seen = [jax.device_get(run.reset(own).observations) for own in keys]
+    teams = run.arena.teams
+    for one, other in ((teams[each[0]], teams[i]) for each in exchangeable(run.arena) for i in each[1:]):
+        for ours, theirs in zip(one.agents, other.agents, strict=True):
+            a, b = (np.concatenate([own[agent.name] for own in seen]).astype(float) for agent in (ours, theirs))
+            # Sizes too: a nearer start in a random direction has the same mean.
+            for what, mine, yours in (("mean", a, b), ("mean size", np.abs(a), np.abs(b))):
+                leans = np.flatnonzero(_leans(mine, yours))
+                if leans.size:
+                    i = int(leans[0])
+                    return (
+                        f"at the start {_number(run.arena, ours.name, i)} has {what} {mine[:, i].mean():.3g} for "
+                        f"{ours.name} and {yours[:, i].mean():.3g} for {theirs.name}: draw the sides in `place`, "
+                        "or leave out `exchangeable`"
+                    )
+    return ""
+
+
+def _leans(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Return for each number whether it is unequal; in a fair arena differences within worlds are symmetric about 0."""
+    gaps = ours - theirs
+    spread = np.sqrt((gaps**2).sum(0))
+    large = np.abs(gaps.mean(0)) > CLOSE * (1.0 + np.abs(ours).mean(0))
+    return large & (np.abs(gaps.sum(0)) > LEAN * spread)
+
+
+def _number(arena: Arena, agent: str, index: int) -> str:
+    """Name a number of an observation, by its part if the arena names parts."""
+    first = 0
+    for part in arena.observation_parts(agent):
+        if index < first + part.size:
+            return f"number {index - first} of `{part.name}`"
+        first += part.size
+    return f"number {index} of the observation"
 
 
 # Play ----------------------------------------------------------------------------------------------------------------

@@ -26,6 +26,25 @@ class Nearer(Race):
         return qpos.at[7:9].set(flag + 0.6 * (qpos[7:9] - flag)), qvel, flag
 
 
+class NearerDrawn(Nearer):
+    """Nobody ever wins, so that scores say nothing."""
+
+    def judge(self, before, physics, game):
+        game, verdict = super().judge(before, physics, game)
+        return game, verdict._replace(score=jnp.full(2, 0.5))
+
+
+class OwnGoals(Race):
+    """Each team has a flag of its own, and `exchange` does not swap them."""
+
+    def place(self, key):
+        qpos, qvel, flag = super().place(key)
+        return qpos, qvel, jnp.stack([flag, flag + 1.0])
+
+    def observe(self, physics, game, actions):
+        return {f"{team}/0": jnp.tile(game[i], 3) for i, team in enumerate(("blue", "red"))}
+
+
 class Taxed(Race):
     """Blue pays for time, and the score is fair."""
 
@@ -68,6 +87,22 @@ def test_a_start_that_favours_a_side_fails_the_check_by_the_scores():
     said = tried(Nearer(RaceSettings(rules=RaceRules(episode=4.0)), engine="c"))
     assert "one policy in all teams scores" in said
     assert "as blue" in said
+
+
+def test_a_start_that_favours_a_side_fails_the_check_if_all_games_are_draws():
+    said = tried(NearerDrawn(SHORT, engine="c"))
+    assert "at the start number" in said
+    assert "for blue/0 and" in said
+
+
+def test_the_check_names_the_hook_that_swaps_what_a_game_keeps_by_team():
+    said = tried(OwnGoals(SHORT, engine="c"))
+    assert "the observation of blue/0 differs" in said
+    assert "override `exchange()`" in said
+
+
+def test_a_fair_start_passes():
+    assert tried(Race(SHORT, engine="c")) == ""
 
 
 def test_undeclared_teams_have_nothing_to_keep():
