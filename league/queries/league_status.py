@@ -262,7 +262,9 @@ def describe_rating_share(share: float, trained: float, rated: float, episodes: 
         return f"nobody has learnt yet (rating.share: {asked})"
     speed = episodes / rated if rated else 0.0
     pace = f", {speed:{',.0f' if speed >= 100 else '.3g'}} games per second of a device" if speed else ""
-    return f"{100 * rated / trained:.3g} % of the time of the devices that train (rating.share: {asked}){pace}"
+    spent = 100 * rated / trained
+    share_text = f"{spent:{',.0f' if spent >= 100 else '.3g'}} % of the time of the devices that train"
+    return f"{share_text} (rating.share: {asked}){pace}"
 
 
 def _machine(free_disk: float | None, gpus: Sequence[devices.Memory]) -> str:

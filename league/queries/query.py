@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
     from matchmaking.roles import Role
 
+MATCH_COLUMNS = (
+    "match", "a", "b", "wins", "draws", "losses", "voids", "voids_a", "voids_b", "score", "void_causes", "seed",
+    "steps", "purpose", "recorded", "recording", "arena", "config_hash", "engine", "created",
+)  # fmt: skip
+"""Columns of matches of two teams."""
+
 
 class Open:
     """A league opened for reading: `ratings()`, `matches()`, `snapshots()` and `curves()` are data frames."""
@@ -106,9 +112,7 @@ class Open:
         Matches of three and more teams have a `lineup`, the snapshot of each team, with the numbers of `rankings` and
         the `mean_ranks` of the teams, and no a and b.
         """
-        import pandas as pd
-
-        return pd.DataFrame(match_rows(self.store.log(self.league)))
+        return match_frame(self.store.log(self.league))
 
     def snapshot(self, name: str) -> Snapshot:
         """Return a snapshot that can play, by its own name or by that of the player whose newest it is.
@@ -217,6 +221,14 @@ def require_whole(snapshot: Snapshot, others: Iterable[Snapshot]) -> None:
         f"{snapshot.name} of league {snapshot.league} has been thinned: its matches count, but its policy is gone."
         f" Take {instead} instead."
     )
+
+
+def match_frame(matches: Iterable[Match | RankedMatch]) -> "pd.DataFrame":
+    """Return `match_rows` as a data frame, which has its columns without rows too."""
+    import pandas as pd
+
+    rows = match_rows(matches)
+    return pd.DataFrame(rows, columns=None if rows else list(MATCH_COLUMNS))
 
 
 def match_rows(matches: Iterable[Match | RankedMatch]) -> list[Row]:

@@ -7,7 +7,7 @@ from league.queries import recordings
 from league.queries.league_status import gather_status
 from league.queries.match_players import players_of
 from league.queries.opponents import explained
-from league.queries.query import Open, match_rows
+from league.queries.query import Open, match_frame
 from league.queries.ratings.metagame import table
 from league.runs.episode import Episode
 from storage.errors import StorageError
@@ -76,9 +76,7 @@ class OpenLeague(Open):
 
     def recordings(self) -> "pd.DataFrame":
         """Return the matches that were recorded, as rows of `matches()`; empty if there is none."""
-        import pandas as pd
-
-        return pd.DataFrame(match_rows(self.store.log(self.league, recorded=True)))
+        return match_frame(self.store.log(self.league, recorded=True))
 
     def recording(self, match: int | None = None, episode: int = 0, **wish: Any) -> Episode:
         """Return a recorded episode: of a match by its number, else of the newest match.

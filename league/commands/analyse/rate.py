@@ -57,7 +57,7 @@ class RateOptions:
     budget: str = field(default="10m", metadata={"valid": check_duration})
     """With --store: time to play, such as 90s or 1h; the batch under way is finished."""
     episodes: int | None = field(default=None, metadata={"low": 1})
-    """With --store: number of episodes after which to stop (none: no limit)."""
+    """With --store: number of episodes after which to stop, in whole batches of 512 on a CPU (none: no limit)."""
     width: float | None = field(default=None, metadata={"above": 0.0})
     """With --store: stop when no 95 % interval is wider, in Elo (none: play on)."""
 
@@ -211,7 +211,7 @@ def _notes(ratings: Ratings, log: csv_log.Log, options: RateOptions, found: Sepa
     if found.side:
         notes.append("What side A is worth is not known, see above.")
     elif not math.isnan(error := ratings.side_stderr):
-        notes.append(f"Side A is worth {ratings.side_advantage:+.0f} Elo (standard error {error:.0f}).")
+        notes.append(f"Side A is worth {round(ratings.side_advantage) or 0:+d} Elo (standard error {error:.0f}).")
     elif not options.no_side and not log.payoff.rankings:
         notes.append("What side A is worth cannot be told from strength: sides did not change.")
     if found.draw:

@@ -1,6 +1,7 @@
 """`league rate --store STORE`: play rating matches of what a store holds, without training."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from league.commands.ladder_text import ratings_table
 from league.commands.progress_bar import Progress, report_kernels
@@ -9,6 +10,10 @@ from league.config.durations import seconds
 from league.config.schema import ConfigError
 from league.queries.query import Open
 from league.system.arena_build import build, rating_batch
+from storage.records import Snapshot
+
+if TYPE_CHECKING:
+    from league.matches.store_rating import Done
 
 
 def rate_store(opened: Open, among: Sequence[str], budget: str, episodes: int | None, width: float | None) -> int:
@@ -38,8 +43,14 @@ def rate_store(opened: Open, among: Sequence[str], budget: str, episodes: int | 
         )
     shown = [s for s in store.snapshots(league, brief=True) if not among or s.name in {each.name for each in snapshots}]
     print(ratings_table(done.ladder, shown, players, opened.void_limit()))
-    widest = (
-        "a rating is not known yet" if done.widest is None else f"the widest interval is ±{done.widest / 2:.0f} Elo"
-    )
-    print(f"\nPlayed {done.episodes:,} episodes" + ("." if done.ladder.one_team else f"; {widest}."))
+    print(f"\nPlayed {done.episodes:,} episodes{'' if done.ladder.one_team else f'; {least_sure(done, snapshots)}'}.")
     return 0
+
+
+def least_sure(done: "Done", snapshots: Sequence[Snapshot]) -> str:
+    """Describe the widest interval, or name a rating that is not known yet."""
+    if done.widest is not None:
+        return f"the widest interval is ±{done.widest / 2:.0f} Elo"
+    unknown = [s.name for s in snapshots if s.name not in done.ladder.anchors and not done.ladder.known(s.name)]
+    more = f" and {len(unknown) - 1} more" if len(unknown) > 1 else ""
+    return f"the rating of {unknown[0]}{more} is not known yet"

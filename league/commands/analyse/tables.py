@@ -8,7 +8,7 @@ from dashboards.tables import Column, Format, render
 from dashboards.text import wrapped
 from league.commands.options import Listing, parse
 from league.queries.columns import CURVES, NEWEST, PURPOSE, SNAPSHOTS, match_columns, result_text
-from league.queries.query import curve_rows, match_rows, snapshot_rows
+from league.queries.query import MATCH_COLUMNS, curve_rows, match_rows, snapshot_rows
 from league.queries.ratings.rating_rows import Row, when
 from league.system.provenance import LINE
 from storage.database.urls import without_passwords
@@ -43,7 +43,8 @@ def matches(args: list[str]) -> int:
     columns = match_columns(rows)
     unlike = [key for key in ("arena", "engine") if len({row[key] for row in rows}) > 1]
     shown = columns if all(row["purpose"] == "rating" for row in rows) else [columns[0], PURPOSE, *columns[1:]]
-    print(_newest(rows, [*shown, *(Column(key, no_wrap=True) for key in unlike)], options, args, "matches", total))
+    shown = [*shown, *(Column(key, no_wrap=True) for key in unlike)]
+    print(_newest(rows, shown, options, args, "matches", total, MATCH_COLUMNS))
     return 0
 
 
@@ -93,16 +94,18 @@ def _asked(options: LogOptions, total: int) -> int:
 
 
 def _newest(
-    rows: list[Row], columns: Sequence[Column | str], options: LogOptions, args: Sequence[str], command: str, total: int
-) -> str:
+    rows: list[Row], columns: Sequence[Column | str], options: LogOptions, args: Sequence[str], command: str,
+    total: int, keys: Sequence[str] = (),
+) -> str:  # fmt: skip
     """Return the newest of `total` rows as text; below a table, a hint how to see the others.
 
-    `rows` has at least those that are printed.
+    `rows` has at least those that are printed; `keys` are the columns of a CSV without rows.
     """
     format: Format = options.format
     last = _asked(options, total)
     shown = rows[len(rows) - min(last, len(rows)) :]
-    text = render(shown, columns if format == "table" else (), format)
+    every = () if shown else keys
+    text = render(shown, columns if format == "table" else every, format)
     if format != "table" or last == total:
         return text
     given = [without_passwords(word) for word in _without(args, "--last")]

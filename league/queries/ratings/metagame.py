@@ -144,12 +144,11 @@ def sides_of(
     """Return the names of all rows and columns requested of `table`, without a limit. Raises StorageError."""
     played = ladder.payoff.played > 0
     last = {s.player: s.name for s in sorted(snapshots, key=lambda s: s.iteration) if s.player}
-    kept = [
-        s
-        for s in snapshots
-        if played[ladder.payoff.index(s.name)] and (not newest or s.player is None or last[s.player] == s.name)
-    ]
-    if not kept:
+    rated = [s for s in snapshots if played[ladder.payoff.index(s.name)]]
+    kept = [s for s in rated if not newest or s.player is None or last[s.player] == s.name]
+    if ladder.one_team and ladder.arena is not None:
+        raise StorageError("The arena has one team, so nobody meets anybody: `league ratings` has the successes.")
+    if not rated:
         raise StorageError("No rating match has been played yet, so there is no payoff table: `league run` plays them.")
     if not players:
         raise StorageError("The league has rated snapshots and no players; `league verify` says what else is damaged.")
@@ -161,8 +160,10 @@ def sides_of(
     ]
     for names, pattern in zip(named, (rows, columns), strict=True):
         if not names:
-            there = ", ".join(s.name for s in kept[:8]) + (", ..." if len(kept) > 8 else "")
-            raise StorageError(f"No rated snapshot matches {pattern!r}; there are: {there}.")
+            there = ", ".join(s.name for s in rated[:8]) + (", ..." if len(rated) > 8 else "")
+            which = "newest" if newest else "rated"
+            lacks = f"matches {pattern!r}" if pattern is not None else "of a side is rated yet"
+            raise StorageError(f"No {which} snapshot {lacks}; rated are: {there}.")
     return named
 
 

@@ -13,6 +13,7 @@ from league.commands.analyse import tables
 from league.commands.analyse.ratings import ratings
 from league.commands.ladder_text import ratings_table
 from league.config import presets
+from league.queries import query
 from league.queries.query import Open, choose
 from league.queries.ratings.rating_rows import rating_rows, side_score
 from league.scheduling.progress_metrics import (
@@ -305,6 +306,13 @@ def test_matches_shows_the_newest_and_says_how_to_see_more(printed):
     assert (whole.count("blue@1"), "newest" in whole) == (70, False)
     assert len(json.loads(printed(tables.matches, "--format", "json"))) == 70
     assert len(json.loads(printed(tables.matches, "--format", "json", "--last", "3"))) == 3
+
+
+def test_a_league_without_matches_has_their_columns(printed, tmp_path):
+    assert printed(tables.matches, "--format", "csv") == ",".join(query.MATCH_COLUMNS) + "\n"
+    assert tuple(query.match_rows([match("blue@1", "blue@0", 3, 1)])[0]) == query.MATCH_COLUMNS
+    with league.open(tmp_path / "store") as opened:
+        assert tuple(opened.matches().columns) == tuple(opened.recordings().columns) == query.MATCH_COLUMNS
 
 
 def test_curves_come_out_as_they_went_in(printed):

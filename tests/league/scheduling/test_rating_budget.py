@@ -96,6 +96,7 @@ def test_what_was_queued_together_last_is_read_off_the_log_at_once_or_piece_by_p
             (0.1, 200.0, 18.0, 35568),
             "9 % of the time of the devices that train (rating.share: 10 %), 1,976 games per second of a device",
         ),
+        ((0.1, 1.0, 11.8), "1,180 % of the time of the devices that train (rating.share: 10 %)"),
         ((1.0, 10.0, 10.0), "100 % of the time of the devices that train (rating.share: as much as they get)"),
     ],
 )

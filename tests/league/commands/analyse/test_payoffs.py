@@ -131,7 +131,7 @@ def test_cross_play_and_one_population_against_another(capsys, cup):
     part = json.loads(said(capsys, "payoff", "--store", cup, *args))
     assert (part["rows"], part["value"], part["cyclic"]) == (["pusher"], pytest.approx(1, abs=0.01), None)
     says = refused(capsys, "payoff", "--store", cup, "--rows", "green*")
-    assert "No rated snapshot matches 'green*'; there are: pusher, blue@0" in says
+    assert "No rated snapshot matches 'green*'; rated are: pusher, blue@0" in says
     says = refused(capsys, "meta", "--store", cup, "--solver", "alpharank", "--rows", "pusher")
     assert "of one population" in says
 
@@ -139,6 +139,18 @@ def test_cross_play_and_one_population_against_another(capsys, cup):
 def test_a_league_without_matches_has_no_table(capsys, tmp_path):
     filled(tmp_path / "new").close()
     assert "No rating match has been played yet" in refused(capsys, "payoff", "--store", tmp_path / "new")
+
+
+def test_a_side_without_a_rated_newest_snapshot_has_no_newest_table(capsys, tmp_path):
+    filled(tmp_path / "old", match("blue@1", "blue@0", 30, 10)).close()
+    says = refused(capsys, "payoff", "--newest", "--store", tmp_path / "old")
+    assert "No newest snapshot of a side is rated yet; rated are: blue@0, blue@1." in says
+
+
+@pytest.mark.parametrize("command", ["payoff", "meta"])
+def test_an_arena_of_one_team_has_no_table(capsys, tmp_path, command):
+    filled(tmp_path / "flag", match("blue@4", None, 15, 1)).close()
+    assert "The arena has one team, so nobody meets" in refused(capsys, command, "--store", tmp_path / "flag")
 
 
 def test_an_attacker_that_has_met_its_victim_alone_is_no_part_of_the_mixture(capsys, tmp_path):

@@ -5,8 +5,10 @@ import io
 import json
 import math
 import random
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -29,6 +31,17 @@ def rate(rate_file):
 
 def elo(told):
     return {row["name"]: row["elo"] for row in told["ratings"]}
+
+
+def test_the_page_has_the_figures_of_its_own_log(rated):
+    page = (Path(__file__).parents[4] / "docs/ratings.md").read_text().partition("## `league rate`")[2]
+    head, *rows = page.split("```")[1].strip().splitlines()
+    told = rated(rows, head=head)
+    first = told["ratings"][0]
+    assert first["name"] == "anna"
+    for key, figure in re.findall(r'"(\w+)": (-?\d+\.\d+)', page.split("```json")[1].split("```")[0]):
+        exact = first[key] if key in first else told[key]
+        assert f"{exact:.{len(figure.partition('.')[2])}f}" == figure, key
 
 
 def test_the_example_of_an_encyclopaedia_in_full(rated):
@@ -58,8 +71,9 @@ def test_the_anchor_is_zero_and_errors_are_of_the_difference_to_it(rated):
     assert told["side_elo"] is None  # sides never changed
 
 
-def test_davidsons_draws_and_the_side(rated):
+def test_davidsons_draws_and_the_side(rate, rated):
     told = rated(["x,a,b,40,20,10", "x,b,a,10,20,40"], "--prior", "0")
+    assert "Side A is worth +0 Elo" in rate(["x,a,b,40,20,10", "x,b,a,10,20,40"], "--prior", "0")[1]
     assert elo(told)["a"] - elo(told)["b"] == pytest.approx(400 * math.log10(4))
     assert told["draw"] == pytest.approx(1)
     assert told["side_elo"] == pytest.approx(0, abs=1e-9)
