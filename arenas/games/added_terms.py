@@ -27,6 +27,12 @@ from arenas.games.terms import TermSpec
 from arenas.physics.engine import Physics
 from arenas.state import Verdict
 
+ARGUMENTS = {
+    "reward.terms": ("arena", "before", "physics", "game"),
+    "observation_terms": ("arena", "agent", "physics", "game", "actions"),
+}
+"""What functions are called with, by setting."""
+
 
 def add_terms(arena: Arena, rewards: Sequence[TermSpec], observations: Sequence[TermSpec]) -> None:
     """Build terms into an arena, and try each on shapes alone. Raises TermError, one line, for one that fails.
@@ -144,7 +150,22 @@ def _loaded(term: TermSpec, setting: str) -> Callable[..., Any]:
     if not callable(found):
         own = [name for name, each in vars(module).items() if _line(term, each) and not name.startswith("_")]
         raise _fault(term, setting, f"the file has no function {term.function} (functions: {', '.join(own) or 'none'})")
+    _check_arguments(term, setting, found)
     return found
+
+
+def _check_arguments(term: TermSpec, setting: str, function: Callable[..., Any]) -> None:
+    """Raise TermError for a function that cannot be called with what a term is given; some builtins do not tell."""
+    given = ARGUMENTS[setting]
+    try:
+        signature = inspect.signature(function)
+    except ValueError:
+        return
+    try:
+        signature.bind(*given)
+    except TypeError as error:
+        needs = f"it takes {signature}, and must take ({', '.join(given)})"
+        raise _fault(term, setting, f"{needs}{_line(term, function)}") from error
 
 
 def _called(term: TermSpec, setting: str, function: Callable[..., Any], *given: Any) -> Array:

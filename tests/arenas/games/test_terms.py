@@ -131,7 +131,8 @@ def test_the_page_shows_the_example_and_a_robot_on_its_side_earns_less():
     ({"x": "{}:scalar"}, {}, r"it returns shape \(\) and not one number per team, \(2,\) \(terms\.py:16\)"),
     ({"x": "{}:broken"}, {}, r"AttributeError: 'Rounds' object has no attribute 'missing' \(terms\.py:20\)"),
     ({"x": "{}:branches"}, {}, r"TracerBoolConversionError: .*; use jnp\.where .* \(terms\.py:26\)"),
-    ({"x": "{}:too_few"}, {}, r"TypeError: too_few\(\) takes 3 .* but 4 were given \(terms\.py:30\)"),
+    ({"x": "{}:too_few"}, {}, r"takes \(arena, physics, game\), and must take \(arena, before, .*\) \(terms\.py:30\)"),
+    ({}, {"x": "{}:two"}, r"takes \(arena, before, .*\), and must take \(arena, agent, .*, actions\) \(terms\.py:7\)"),
     ({}, {"x": "{}:table"}, r"observation_terms: x = .*: it returns shape \(2, 2\) and not \(n,\) \(terms\.py:22\)"),
     ({}, {"one": "{}:chosen"}, r"it returns 2 numbers, and the part of that name has 1 \(terms\.py:10\)"),
 ])  # fmt: skip
