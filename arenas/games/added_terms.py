@@ -31,7 +31,7 @@ ARGUMENTS = {
     "reward.terms": ("arena", "before", "physics", "game"),
     "observation_terms": ("arena", "agent", "physics", "game", "actions"),
 }
-"""What functions are called with, by setting."""
+"""Arguments of the functions, by setting."""
 
 
 def add_terms(arena: Arena, rewards: Sequence[TermSpec], observations: Sequence[TermSpec]) -> None:
