@@ -136,14 +136,18 @@ def spelt(args: Sequence[str]) -> list[str]:
     return ["--output" if word == "-o" else word for word in args]
 
 
-def without_settings(args: Sequence[str], *sections: str) -> tuple[list[str], flags.Given]:
-    """Return the arguments without the flags of settings in these sections, such as `arena`, and these flags."""
+def without_settings(args: Sequence[str], *sections: str, cls: type | None = None) -> tuple[list[str], flags.Given]:
+    """Return the arguments without the flags of settings in these sections, such as `arena`, and these flags.
+
+    `cls` has the settings and says which of them are switches; without it none is.
+    """
     own, given, words = [], {}, list(args)
+    starts = tuple(f"--{no}{section}." for section in sections for no in (("",) if cls is None else ("", "no-")))
     while words:
         word = words.pop(0)
-        if not word.startswith(tuple(f"--{section}." for section in sections)):
+        if word.startswith(starts):
+            key, text = flags.take(word, words, lambda key: False if cls is None else flags.is_switch(key, cls))
+            given[key] = text
+        else:
             own.append(word)
-            continue
-        name, equals, text = word[2:].partition("=")
-        given[tuple(name.replace("-", "_").split("."))] = text if equals or not words else words.pop(0)
     return own, given

@@ -49,13 +49,16 @@ def split(args: Iterable[str], is_switch: Callable[[Key], bool | None]) -> Split
         elif not word.startswith("--"):
             raise ConfigError((), f"unknown option {word}: options begin with --; --help lists them")
         else:
-            key, text = _flag(word, words, is_switch)
+            key, text = take(word, words, is_switch)
             found.given[key] = text  # the last value counts
     return found
 
 
-def _flag(word: str, words: list[str], is_switch: Callable[[Key], bool | None]) -> tuple[Key, str]:
-    """Return the key and text of a flag; removes its value from `words`, the words that follow."""
+def take(word: str, words: list[str], is_switch: Callable[[Key], bool | None]) -> tuple[Key, str]:
+    """Return the key and text of a flag; removes its value from `words`, the words that follow.
+
+    Raises ConfigError for a flag without its value.
+    """
     name, equals, text = word[2:].partition("=")
     key = tuple(name.replace("-", "_").split("."))
     switch = is_switch(key)

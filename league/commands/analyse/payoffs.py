@@ -252,10 +252,16 @@ def _mixed(options: MetaOptions) -> tuple[Table, list[str]]:
     with options.open() as opened:
         shown = opened.shown(options.arena, options.engine)
     ladder, snapshots = shown.ladders[0], shown.snapshots
-    fixed = {s.name for s in snapshots if s.player is None and not s.script}
-    alone = _met_one(ladder.payoff) & fixed if options.rows is options.columns is None else set()
+    alone = _alone(ladder.payoff, snapshots) if options.rows is options.columns is None else set()
     kept = [s for s in snapshots if s.name not in alone]
     return table(ladder, kept, shown.players, options.rows, options.columns), sorted(alone)
+
+
+def _alone(payoff: Payoff, snapshots: Sequence[Snapshot]) -> set[str]:
+    """Return the fixed policies that have met one opponent alone, unless their side has played with no other."""
+    found = _met_one(payoff) & {s.name for s in snapshots if s.player is None and not s.script}
+    others = {s.roster for s in snapshots if s.name not in found and payoff.played[payoff.index(s.name)]}
+    return {s.name for s in snapshots if s.name in found and s.roster in others}
 
 
 def _met_one(payoff: Payoff) -> set[str]:

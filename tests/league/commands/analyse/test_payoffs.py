@@ -11,7 +11,7 @@ import pytest
 from league.commands import cli
 from storage.records import Meeting
 from tests.league.conftest import ENVIRONMENT
-from tests.league.leagues import filled, finish, match, snapshot
+from tests.league.leagues import filled, finish, match, player, snapshot
 
 RPS = "rock,paper,scissors\n0,-1,1\n1,0,-1\n-1,1,0\n"
 
@@ -167,6 +167,18 @@ def test_an_attacker_that_has_met_its_victim_alone_is_no_part_of_the_mixture(cap
     assert "attacker" not in found["mass"]
     chosen = ("--rows", "*", "--columns", "*", "--format", "json")
     assert json.loads(said(capsys, "meta", "--store", tmp_path / "store", *chosen))["mass"]["attacker"] > 0.9
+
+
+def test_attackers_stay_where_their_side_has_played_with_nobody_else(capsys, tmp_path):
+    with filled(tmp_path / "store") as store:
+        ant, bug = (
+            replace(snapshot(None, 0, store.blobs.put(n.encode()), name=n), script=None) for n in ("ant", "bug")
+        )
+        store.add_players([player("gold", 1, "tank")])
+        store.add_snapshots([replace(ant, roster="tank"), replace(bug, roster="tank")])
+        finish(store, matches=[match("blue@4", "ant", 10, 30), match("blue@4", "bug", 10, 40)])
+    found = json.loads(said(capsys, "meta", "--store", tmp_path / "store", "--format", "json"))
+    assert (found["mass"], found["left_out"]) == ({"blue@4": 1.0}, [])
 
 
 def test_who_loses_to_its_own_past_raises_the_alarm(capsys, tmp_path):

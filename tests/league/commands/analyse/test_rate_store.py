@@ -1,4 +1,4 @@
-"""What `league rate --store` says of the ratings when it ends."""
+"""Text that `league rate --store` prints about the ratings when it ends."""
 
 from league.commands.analyse.rate_store import least_sure
 from league.matches.store_rating import Done
