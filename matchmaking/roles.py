@@ -48,6 +48,10 @@ class Role:
     reset_chance: float | None = None
     """Probability of the reset, 0 to 1 (none: always)."""
 
+    shaping_steps: int | None = None
+    """Environment steps over which the dense reward of its players fades (0: they learn from the outcome only; none: as
+    training.shaping_steps or training.shaping_until says)."""
+
     def __post_init__(self) -> None:
         if not self.name:
             raise ValueError("name: a role needs one")
@@ -59,6 +63,8 @@ class Role:
             raise ValueError("win_rate: no interval begins above 1; use less, e.g. 0.7")
         if self.timeout is not None and self.timeout < 1:
             raise ValueError("timeout: is a number of environment steps, 1 or more")
+        if self.shaping_steps is not None and self.shaping_steps < 0:
+            raise ValueError("shaping_steps: is a number of environment steps, 0 or more")
         if self.reset is not None and self.reset not in get_args(Reset):
             raise ValueError(f"reset: choose one of {', '.join(get_args(Reset))}")
 

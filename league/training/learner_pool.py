@@ -1,7 +1,7 @@
 """Learner pool: the learners of a league's players in one process, their counters, checkpoints and restoration."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from zlib import crc32
 
 import numpy as np
@@ -13,6 +13,7 @@ from agents.policy.host_policy import HostPolicy
 from agents.policy.jax_policy import Params, policy_params
 from arenas.arena import Arena
 from league.config.experiment import Config
+from league.config.sections import Training
 from league.scheduling import player_resets, population
 from league.snapshots.codec import Policy, freeze
 from league.state.jobs import TrainingTurn
@@ -53,7 +54,7 @@ class LearnerPool:
         self.counters = {player.name: Counters() for player in players}
         self.histories: Mapping[str, list[Snapshot]] = {}  # of the players of the turn, oldest first
         self.updates = UpdatePool(list(self.learners.values()))
-        self._annealing = {name: self._new_annealing() for name in self.players}
+        self._annealing = {name: self._new_annealing(name) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners' states equal
         self._games: list[Meeting] = []  # training games of the present generations
         self._games_read = 0  # the last training game of the store that was read
@@ -106,15 +107,20 @@ class LearnerPool:
         if annealing := self._annealing[name]:
             return annealing.weight
         start = player_resets.initial_policy_since(self.role(name), self.config.seed, name, self.histories[name])
-        return reward_shaping.by_steps(self.config.training, self.counters[name].steps - start)
+        return reward_shaping.by_steps(self._shaping_settings(name), self.counters[name].steps - start)
 
     def note(self, name: str, figures: Mapping[str, float]) -> None:
         """Update the shaping weight with the metrics of an iteration, if it follows success."""
         if annealing := self._annealing[name]:
             annealing.note(figures)
 
-    def _new_annealing(self) -> reward_shaping.SuccessAnnealing | None:
-        return reward_shaping.make_annealing(self.config.training, len(self.arena.teams))
+    def _shaping_settings(self, name: str) -> Training:
+        """Return the settings of training with the player's fading: that of its role, if the role has one."""
+        training, steps = self.config.training, self.role(name).shaping_steps
+        return training if steps is None else replace(training, shaping_steps=steps, shaping_until=None)
+
+    def _new_annealing(self, name: str) -> reward_shaping.SuccessAnnealing | None:
+        return reward_shaping.make_annealing(self._shaping_settings(name), len(self.arena.teams))
 
     # Saved and brought back ------------------------------------------------------------------------------------------
 
@@ -234,7 +240,7 @@ class LearnerPool:
             self._move(name, explore(self.moved(name), other_values, self._initial_values(name), pbt, rng))
             self.learners[name].load(state)
             self.learners[name].reseed(crc32(f"{self.config.seed}/{name}/{at}/copy".encode()))
-            other = self._new_annealing()
+            other = self._new_annealing(name)
             if (mine := self._annealing[name]) and other:
                 other.load(state)
                 mine.follow(other)
@@ -264,4 +270,4 @@ class LearnerPool:
         learner, player, at = self.learners[name], self.players[name], self.counters[name].iteration
         reset_learner(learner, self.config, self.arena, player, store, source, at, self.comm)
         if self.role(name).reset == "initial":
-            self._annealing[name] = self._new_annealing()
+            self._annealing[name] = self._new_annealing(name)

@@ -36,7 +36,15 @@ def test_roles_that_contradict_themselves_are_refused(declared, used, says):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("win_rate", 1.0), ("win_rate", 0.0), ("timeout", 0), ("reset", "now"), ("reset_chance", 1.5)]
+    ("field", "value"),
+    [
+        ("win_rate", 1.0),
+        ("win_rate", 0.0),
+        ("timeout", 0),
+        ("reset", "now"),
+        ("reset_chance", 1.5),
+        ("shaping_steps", -1),
+    ],
 )
 def test_a_setting_out_of_bounds_is_refused_by_its_name(field, value):
     with pytest.raises(ValueError, match=f"^{field}: "):

@@ -160,6 +160,17 @@ def test_who_begins_anew_has_its_dense_reward_again_and_its_old_games_forgotten(
         assert [p.values["shaping_weight"] for p in store.curves(LEAGUE, "blue")][:4] == [0.75, 0.5, 0.25, 0]
 
 
+def test_a_role_may_fade_the_dense_reward_otherwise_than_the_league(arena, tmp_path):
+    """An exploiter that is paid for the outcome alone beside main players with a dense reward that fades."""
+    config = hunting(Role("main_exploiter", timeout=2 * STEPS, shaping_steps=0), shaping_until=0.9)
+    with made(tmp_path, arena, config) as store:
+        turns(store, config, arena, 5)
+        assert {p.values["shaping_weight"] for p in store.curves(LEAGUE, "hunter")} == {0.0}
+        assert store.curves(LEAGUE, "blue")[0].values["shaping_weight"] > 0
+        kept = {c.player: arrays.from_bytes(store.blobs.get(c.digest)) for c in store.checkpoints(LEAGUE)}
+        assert {name for name, arrays_of in kept.items() if "shaping.weight" in arrays_of} == {"blue", "red"}
+
+
 def test_a_reset_may_be_to_the_newest_main_player_of_the_team(arena, tmp_path):
     config = hunting(Role("veteran", Opponents("uniform"), timeout=STEPS, reset="main"))
     with made(tmp_path, arena, config) as store:
