@@ -2,13 +2,13 @@
 
     python -m benchmarks.server_load --out benchmarks/results/server-load-cpu.json
 
-`held`: four processes claim and finish jobs without a pause, in windows; before the second phase another client opens a
-transaction, reads the jobs in it and stays idle, as a dump or a forgotten session does; in the third it has ended.
-`crowd`: 200 processes, each with a job of one second at a time, which all start at the same moment; directly and
-through PgBouncer with 20 sessions of the server. `turn`: a process far from the server ends turns of two players, with
-checkpoints, snapshots, curves of 16 iterations and games; another one near it locks the league's row again and again,
-and the longest that it waits is how long the turn's end held the row. Each uses a private server, whose disk is not
-waited for.
+`held`: four processes claim jobs and finish each at once or after `--pause`, in windows; before the second phase
+another client opens a transaction, reads the jobs in it and stays idle, as a dump or a forgotten session does; in the
+third it has ended. `crowd`: 200 processes, each with a job of one second at a time, which all start at the same moment;
+directly and through PgBouncer with 20 sessions of the server. `turn`: a process far from the server ends turns of two
+players, with checkpoints, snapshots, curves of 16 iterations and games; another one near it locks the league's row
+again and again, and the longest that it waits is how long the turn's end held the row. Each uses a private server,
+whose disk is not waited for.
 """
 
 import argparse
@@ -117,7 +117,7 @@ def held(server: Server, args: argparse.Namespace, folder: Path) -> dict:
     def phase(name: str, windows: int) -> None:
         phases[name] = []
         for _ in range(windows):
-            phases[name].append(window(place, url, 4, args.seconds, 0.0))
+            phases[name].append(window(place, url, 4, args.seconds, args.pause))
 
     phase("before", 2)
     with psycopg.connect(url, application_name="pg_dump") as other:
@@ -127,7 +127,7 @@ def held(server: Server, args: argparse.Namespace, folder: Path) -> dict:
     with psycopg.connect(url, autocommit=True) as db:
         db.execute("VACUUM jobs, leagues")
     phase("ended", 2)
-    return {"workers": 4, "seconds_of_a_window": args.seconds, "phases": phases}
+    return {"workers": 4, "seconds_of_a_window": args.seconds, "seconds_of_a_job": args.pause, "phases": phases}
 
 
 def crowd(server: Server, args: argparse.Namespace, folder: Path) -> dict:
@@ -244,6 +244,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--seconds", type=float, default=10.0, help="of a window with or without the transaction")
     parser.add_argument("--windows", type=int, default=12, help="while the transaction is open")
+    parser.add_argument("--pause", type=float, default=0.0, help="seconds that a job of `held` takes")
     parser.add_argument("--jobs", type=int, default=30_000, help="queued at the start of `held`")
     parser.add_argument("--workers", type=int, default=200)
     parser.add_argument("--crowd-seconds", type=float, default=30.0)
