@@ -133,14 +133,22 @@ def _tried(kind: str, file: tuple[str, bytes], agent: AgentSizes) -> dict[str, A
     return {"how": "single" if model.rows == 1 else "batched"}
 
 
+def _reason(error: Exception) -> str:
+    """Return an error's type and text in one line; TorchScript tells the cause last, below a long traceback."""
+    lines = [line for line in map(str.strip, str(error).splitlines()) if line]
+    if "TorchScript interpreter" in str(error):
+        return lines[-1][:200]
+    return f"{type(error).__name__}: {' '.join(' '.join(lines).split())[:200]}"
+
+
 def _trial(actor: Actor, name: str, agent: AgentSizes) -> None:
     seen, noise = agent.trial(TRIAL)
     for begins in (True, False):
         try:
             found = np.asarray(actor(seen, noise, np.full(TRIAL, begins)))
         except Exception as error:  # a stranger's code
-            reason = " ".join(str(error).split())[:200]
-            raise ProgramError(f"{name}: standard normal observations raise {type(error).__name__}: {reason}") from None
+            sees = f"standard normal observations ({TRIAL}, {agent.observation})"
+            raise ProgramError(f"{name}: {sees} raise {_reason(error)}") from None
         if found.shape != (TRIAL, agent.action):
             raise ProgramError(
                 f"{name}: {TRIAL} observations give actions of shape {found.shape}, and a {agent.kind} of this team"
