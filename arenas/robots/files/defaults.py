@@ -26,6 +26,7 @@ GRAVITY = 9.81
 SCALE = 0.5  # rad of a position target per unit of action, or a quarter of the joint's range
 NO_ROTOR = 0.01  # kg·m² for PD targets where the file has no inertia of rotors: assumed
 FALLEN_HEIGHT, FALLEN_UP = 0.5, 0.3  # share of the standing height, world z of the up axis
+LEAST_HEIGHT = 0.01  # share of the width: a base at the ground stands no higher than one that has fallen
 NEAR_GROUND = 0.05  # share of the height: bodies so near to the ground are feet
 
 
@@ -84,10 +85,13 @@ def standing(source: Source, drives: dict[str, Drive]) -> tuple[float, float, tu
         raise ArenaError(f"{source.path}: no geom of body {source.body(source.base)} or below it touches anything")
     low = {g: lowest(data, g) for g in touching}
     height = -min(low.values())
-    if height <= 0:
-        raise ArenaError(f"{source.path}: base {source.body(source.base)} is below all of its geoms")
     points = np.concatenate([corners(data, g) for g in touching])
     width = 2 * float(np.linalg.norm(points[:, :2], axis=1).max())
+    if height <= LEAST_HEIGHT * width:
+        raise ArenaError(
+            f"{source.path}: the origin of base {source.body(source.base)} is not above the lowest of its geoms, so it"
+            " would count as fallen: put it inside the body; in a URDF leave out base_footprint and its joint"
+        )
     near = min(low.values()) + max(0.01, NEAR_GROUND * height)
     feet = {source.body(int(source.model.geom_bodyid[g])): None for g, z in low.items() if z <= near}
     return _round(height), _round(width), tuple(feet)
