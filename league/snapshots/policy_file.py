@@ -194,6 +194,8 @@ def read(path: Path) -> Policy:
         data = file.read(LIMIT + 1)
     if path.suffix == ".py":
         raise ExchangeError(f"{path} is a Python file: name its function or class too, {path}:function.")
+    if path.suffix.lower() in (".onnx", ".pt"):
+        raise ExchangeError(f"{path} is a program, which is no network of `league export`: give its x.safetensors.")
     if len(data) > LIMIT:
         raise ExchangeError(f"{path} has more than {LIMIT:,} bytes, which no policy has.")
     try:
