@@ -104,6 +104,17 @@ def test_a_urdf_gets_a_free_base_and_its_efforts(write):
     assert [f for f in RobotTrial(robot_of(settings)).findings() if not f.ok] == []
 
 
+def test_a_sliding_joint_without_gains_holds_its_load(write):
+    lift = """</body><body name="lift"><joint name="lift" type="slide" axis="0 0 1" range="0 .4"/>
+<geom type="sphere" size=".05" pos="0 0 .2" mass="1"/></body></body>"""
+    text = mjcf().replace("</body>\n</worldbody>", lift.removeprefix("</body>") + "\n</worldbody>")
+    settings = derive(write(text))
+    assert settings.drives["lift"].kp > 1 * 9.81 / 0.02  # N/m: the load of 1 kg lowers it by less than 2 cm
+    assert [f for f in RobotTrial(robot_of(settings)).findings() if not f.ok] == []
+    by_speed = derive(write(text), control="velocity")
+    assert (by_speed.drives["lift"].scale, by_speed.drives["fl_hip"].scale) == (0.5, 10.0)
+
+
 def test_the_standing_pose_is_the_keyframe(write):
     key = f'<keyframe><key name="home" qpos="0 0 .4 1 0 0 0 {"0.5 -1 " * 4}"/></keyframe>'
     settings = derive(write(mjcf(POSITION, extra=key)))
