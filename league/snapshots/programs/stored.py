@@ -16,6 +16,7 @@ import numpy as np
 
 from agents.policy.host_policy import Actor, HostPolicy
 from arenas.rosters import roster_agents
+from league.snapshots.programs.kinds import kind_of
 from league.snapshots.programs.model import AgentSizes, Model, ProgramError
 from storage.blobs import programs
 from storage.blobs.files import open_file
@@ -51,6 +52,8 @@ class Program:
 def read(kind: str, names: Sequence[str], roster: str) -> Program:
     """Read the programs of a roster: one for all its agents, or one for each. Raises ProgramError, one line."""
     agents = sizes(roster)
+    if any(kind_of(name) not in (None, kind) for name in names):
+        raise ProgramError(f"{','.join(names)}: give programs of one kind, x.onnx, x.pt or x.py:function")
     if len(names) not in (1, len(agents)):
         raise ProgramError(
             f"{len(names)} files for the {len(agents)} agents of {roster}: give one for all, or one for each"

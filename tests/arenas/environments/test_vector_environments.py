@@ -253,6 +253,13 @@ def test_bad_actions_and_opponents_are_told_in_one_line(race):
         wrong.act((), {"red/0": jnp.zeros((4, 6))}, jax.random.split(jax.random.key(0), 4), (), jnp.ones(4, bool))
 
 
+def test_an_action_of_one_world_that_is_no_array_is_told_in_one_line(alone):
+    alone.reset(seed=0)
+    for action, line in (("left", "the action 'left' is no array of numbers"), ([0.0] * 9, r"the shape \(9,\)")):
+        with pytest.raises(ArenaError, match=line):
+            alone.step(action)
+
+
 def test_it_is_an_environment_of_gymnasium(race):
     assert isinstance(race, gymnasium.vector.VectorEnv)
     assert race.action_space.shape == (4, 2)

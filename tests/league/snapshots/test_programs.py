@@ -176,6 +176,7 @@ def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_pat
         f"{tmp_path}/nan.py:wide": "a batch of 3 gave shape (3, 1)",
         f"{tmp_path}/nan.py:lost": "has no function or class 'lost'",
         f"{tmp_path}/away.py:act": "there is no file",
+        f"{tmp_path}/acts.onnx,{tmp_path}/wide.pt": "give programs of one kind, x.onnx, x.pt or x.py:function",
         f"{tmp_path}/wide.onnx,{tmp_path}/wide.onnx": "2 files for the 1 agents",
     }
     for named, why in refused.items():
