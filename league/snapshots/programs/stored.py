@@ -52,7 +52,7 @@ class Program:
 def read(kind: str, names: Sequence[str], roster: str) -> Program:
     """Read the programs of a roster: one for all its agents, or one for each. Raises ProgramError, one line."""
     agents = sizes(roster)
-    if any(kind_of(name) not in (None, kind) for name in names):
+    if len({kind_of(name) for name in names} - {None}) > 1:
         raise ProgramError(f"{','.join(names)}: give programs of one kind, x.onnx, x.pt or x.py:function")
     if len(names) not in (1, len(agents)):
         raise ProgramError(
