@@ -45,7 +45,7 @@ class Finding(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Motion of a joint under ACTION in MOVES seconds, in rad or m."""
+    """Motion of a joint under ACTION in MOVES seconds, in rad or m; negative where an action commands the other way."""
 
     joint: str
     by: float
@@ -144,7 +144,7 @@ class RobotTrial:
         return Finding(f"stands, steps of {step:g} s", sound and fell is None, after + ends, mend)
 
     def moved(self) -> list[Moved]:
-        """Move each joint alone, in the air without gravity, both ways, and return the larger way."""
+        """Move each joint alone, in the air without gravity, both ways, and return the larger way towards a command."""
         return [self._moved(index) for index in range(self.robot.action_size)]
 
     def _moved(self, index: int) -> Moved:
@@ -162,7 +162,12 @@ class RobotTrial:
                 mujoco.mj_step(model, data)
             ways.append(sign * float(data.qpos[at.joint_qpos[index]] - scene.rest[at.joint_qpos[index]]))
         model.opt.gravity[:] = gravity
-        return Moved(self.robot.joints[index], max(ways), max(ways) > LEAST)
+        commands = [
+            np.asarray(self.robot.command(jnp.asarray(each * np.eye(1, len(action), index)[0]))) for each in (0, 1)
+        ]
+        turn = float(np.sign(commands[1] - commands[0])[index])
+        farthest = max(turn * way for way in ways)
+        return Moved(self.robot.joints[index], turn * farthest, farthest > LEAST)
 
     def _flail(self) -> Finding:
         """Let it flail under random actions, and keep the peaks of contacts and rows."""

@@ -24,6 +24,7 @@ from league.config.schema import ConfigError
 from league.queries.query import Open
 from league.queries.ratings.rating_rows import Row, rating_rows
 from league.snapshots.exports.networks import agents_of
+from league.snapshots.programs.kinds import SUFFIXES
 from league.system.provenance import code_of
 from matchmaking.ratings.ladder import Ladder
 from storage.blobs import arrays, programs
@@ -194,6 +195,8 @@ def read(path: Path) -> Policy:
         data = file.read(LIMIT + 1)
     if path.suffix == ".py":
         raise ExchangeError(f"{path} is a Python file: name its function or class too, {path}:function.")
+    if path.suffix.lower() in SUFFIXES:
+        raise ExchangeError(f"{path} is a program, which is no network of `league export`: give its x.safetensors.")
     if len(data) > LIMIT:
         raise ExchangeError(f"{path} has more than {LIMIT:,} bytes, which no policy has.")
     try:

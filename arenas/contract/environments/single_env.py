@@ -39,7 +39,10 @@ class TeamEnv(gymnasium.Env[Any, Any]):
         """Take one decision with an action (act,)."""
         if not self._running:
             raise ArenaError(f"no episode of {self.arena.name} is under way: call reset() first")
-        given = np.asarray(action, np.float32)
+        try:
+            given = np.asarray(action, np.float32)
+        except (ValueError, TypeError):
+            raise ArenaError(f"the action {action!r:.40} is no array of numbers") from None
         _check_shape(given, self.action_space.shape)
         observations, reward, terminated, truncated, infos = self._row.step(given[None])
         done = bool(infos["_final_obs"][0])

@@ -24,9 +24,17 @@ class StableBaselinesEnv(VecEnv):
         super().__init__(worlds.num_envs, worlds.single_observation_space, worlds.single_action_space)
 
     def reset(self) -> Any:
-        """Begin new episodes in all worlds and return the observations (num_envs, obs)."""
-        observations, _ = self.worlds.reset(seed=self._seeds[0])
+        """Begin new episodes in all worlds and return the observations (num_envs, obs).
+
+        What `set_options` was given counts once, as of other vector environments. Raises ArenaError where it was a list
+        of unlike options.
+        """
+        options = self._options[0] if self._options else {}
+        if any(each != options for each in self._options):
+            raise ArenaError("set_options: all rows move in one program, so give one dict for all of them")
+        observations, _ = self.worlds.reset(seed=self._seeds[0], options=options)
         self._reset_seeds()
+        self._reset_options()
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:

@@ -63,9 +63,12 @@ class TeamVectorEnv(VectorEnv[Any, Any, Any]):
         """Begin new episodes in all worlds. `options={"opponent": ...}` changes the opponent.
 
         A seed decides all that follows. Without one, the episodes after a seeded reset are drawn from its seed.
+        Raises ArenaError for any other option, since a misspelt one would leave the opponent as it was.
         """
         if options and options.get("reset_mask") is not None:
             raise ArenaError("reset_mask: worlds restart by themselves when their episode ends; reset() restarts all")
+        if unknown := [key for key in options or {} if key not in ("opponent", "reset_mask")]:
+            raise ArenaError(f"options: unknown {', '.join(map(repr, unknown))}; reset takes 'opponent' alone")
         if options and "opponent" in options:
             self._opponent = self._chosen(options["opponent"])
         super().reset(seed=None if seed is None else arguments.seed_of(seed))

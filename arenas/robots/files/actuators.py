@@ -1,5 +1,6 @@
 """A file's actuators as drives, one for each joint: position, velocity or torque; position where it has none."""
 
+import math
 from dataclasses import replace
 
 import mujoco
@@ -46,7 +47,7 @@ def drives_of(source: Source, control: Control | None, passive: tuple[str, ...])
         low, high = map(float, model.jnt_range[j]) if model.jnt_limited[j] else (0.0, 0.0)
         effort = drive.effort
         if model.jnt_actfrclimited[j]:
-            most = float(model.jnt_actfrcrange[j, 1])
+            most = float(max(abs(model.jnt_actfrcrange[j])))
             effort = min(effort, most) if effort else most
         rotor = float(model.dof_armature[model.jnt_dofadr[j]])
         drives[name] = replace(drive, low=low, high=high, effort=effort, armature=rotor)
@@ -71,7 +72,10 @@ def _found(source: Source) -> dict[str, Drive]:
 
 
 def _drive(source: Source, i: int, actuator: str) -> Drive:
-    """Return one actuator as a drive; a gear turns units of the motor into those of the joint."""
+    """Return one actuator as a drive; a gear turns units of the motor into those of the joint.
+
+    Where a gear or gain turns the direction around, a motor's or velocity's scale is negative.
+    """
     model = source.model
     gain, bias, gear = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i], float(model.actuator_gear[i, 0])
     most = float(max(abs(model.actuator_ctrlrange[i]))) if model.actuator_ctrllimited[i] else 0.0
@@ -79,13 +83,17 @@ def _drive(source: Source, i: int, actuator: str) -> Drive:
     plain = model.actuator_gaintype[i] == FIXED and model.actuator_dyntype[i] in DIRECT
     if plain and model.actuator_biastype[i] == NONE:
         torque = abs(gain * gear) * most
-        return Drive("torque", 0.0, torque or force, effort=min(filter(None, (torque, force)), default=0.0))
+        scale = math.copysign(torque or force, gain * gear)
+        return Drive("torque", 0.0, scale, effort=min(filter(None, (torque, force)), default=0.0))
+    plain &= bias[0] == 0  # a force without a command is none of a drive's settings
     if plain and model.actuator_biastype[i] == AFFINE and bias[1] < 0 and abs(bias[1] + gain) < 1e-6 * gain:
         return Drive("position", 0.0, 0.0, kp=gain * gear**2, kd=float(-bias[2]) * gear**2, effort=force)
     if plain and model.actuator_biastype[i] == AFFINE and bias[1] == 0 and bias[2] < 0:
-        return Drive("velocity", 0.0, most / abs(gear), kd=float(-bias[2]) * gear**2, effort=force)
+        return Drive("velocity", 0.0, most * gain / float(-bias[2]) / gear, kd=float(-bias[2]) * gear**2, effort=force)
+    joint = source.joint(int(model.actuator_trnid[i, 0]))
     raise ArenaError(
-        f"{source.path}: actuator {actuator} is no motor, position or velocity actuator; write it as one of these"
+        f"{source.path}: actuator {actuator} of joint {joint} is no motor, position or velocity actuator; write it as"
+        " one of these"
     )
 
 

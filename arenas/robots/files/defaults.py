@@ -1,8 +1,9 @@
 """Settings of a robot that only has a model: drives from its actuators, home pose, size, feet, gains.
 
 Gains of PD targets that the file does not have: for one radian a joint gives the torque of the whole weight at the
-height of the base, twice what two ankles need to hold a body upright, but at most its effort for 0.1 rad. Damping is
-critical for its own inertia, and at least a thirtieth of the stiffness.
+height of the base, twice what two ankles need to hold a body upright, but at most its effort for 0.1 rad. A sliding
+joint gives the whole weight for 0.05 m, and at most its effort for 0.1 m. Damping is critical for its own inertia, and
+at least a thirtieth of the stiffness.
 """
 
 import re
@@ -18,14 +19,17 @@ from arenas.robots.files.actuators import drives_of
 from arenas.robots.files.body import colliding, home_pose
 from arenas.robots.files.extents import corners, lowest
 from arenas.robots.files.robot_file import Control, Drive, RobotFile
-from arenas.robots.files.source import Source, read_source
+from arenas.robots.files.source import HINGE, SLIDE, Source, read_source
 from arenas.robots.kinds import KINDS
 
 HOLDS, REACH, DAMPED = 1.0, 0.1, 1 / 30
+SAG = 0.05  # m, of a sliding joint under the whole weight
+SPEEDS = {HINGE: 10.0, SLIDE: 0.5}  # rad/s and m/s of a velocity target per unit of action
 GRAVITY = 9.81
 SCALE = 0.5  # rad of a position target per unit of action, or a quarter of the joint's range
 NO_ROTOR = 0.01  # kg·m² for PD targets where the file has no inertia of rotors: assumed
 FALLEN_HEIGHT, FALLEN_UP = 0.5, 0.3  # share of the standing height, world z of the up axis
+LEAST_HEIGHT = 0.01  # share of the width: a base at the ground stands no higher than one that has fallen
 NEAR_GROUND = 0.05  # share of the height: bodies so near to the ground are feet
 
 
@@ -84,10 +88,13 @@ def standing(source: Source, drives: dict[str, Drive]) -> tuple[float, float, tu
         raise ArenaError(f"{source.path}: no geom of body {source.body(source.base)} or below it touches anything")
     low = {g: lowest(data, g) for g in touching}
     height = -min(low.values())
-    if height <= 0:
-        raise ArenaError(f"{source.path}: base {source.body(source.base)} is below all of its geoms")
     points = np.concatenate([corners(data, g) for g in touching])
     width = 2 * float(np.linalg.norm(points[:, :2], axis=1).max())
+    if height <= LEAST_HEIGHT * width:
+        raise ArenaError(
+            f"{source.path}: the origin of base {source.body(source.base)} is not above the lowest of its geoms, so it"
+            " would count as fallen: put it inside the body; in a URDF leave out base_footprint and its joint"
+        )
     near = min(low.values()) + max(0.01, NEAR_GROUND * height)
     feet = {source.body(int(source.model.geom_bodyid[g])): None for g, z in low.items() if z <= near}
     return _round(height), _round(width), tuple(feet)
@@ -105,14 +112,22 @@ def _with_gains(source: Source, drives: dict[str, Drive], height: float) -> dict
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     weight = GRAVITY * float(model.body_mass[source.bodies].sum())
-    dofs = {source.joint(j): int(model.jnt_dofadr[j]) for j in source.joints}
-    return {name: _complete(drive, inertia[dofs[name], dofs[name]], weight * height) for name, drive in drives.items()}
+    ids = {source.joint(j): j for j in source.joints}
+    kinds = {name: int(model.jnt_type[j]) for name, j in ids.items()}
+    dofs = {name: int(model.jnt_dofadr[j]) for name, j in ids.items()}
+    loads = {HINGE: weight * height, SLIDE: weight}
+    return {
+        name: _complete(drive, inertia[dofs[name], dofs[name]], loads[kinds[name]], kinds[name])
+        for name, drive in drives.items()
+    }
 
 
-def _complete(drive: Drive, inertia: float, load: float) -> Drive:
+def _complete(drive: Drive, inertia: float, load: float, kind: int) -> Drive:
+    """Fill in one drive; `inertia` and `load` are in kg·m² and N·m, of a sliding joint (by its `kind`) in kg and N."""
     changes: dict[str, Any] = {}
     if drive.control == "position":
-        kp = drive.kp or min(HOLDS * load, drive.effort / REACH if drive.effort else np.inf)
+        stiff = load / SAG if kind == SLIDE else load
+        kp = drive.kp or min(HOLDS * stiff, drive.effort / REACH if drive.effort else np.inf)
         rotor = drive.armature or (0.0 if drive.kp else NO_ROTOR)
         damping = max(2 * np.sqrt(kp * (inertia + rotor - drive.armature)), DAMPED * kp)
         span = drive.high - drive.low
@@ -121,7 +136,7 @@ def _complete(drive: Drive, inertia: float, load: float) -> Drive:
             "scale": drive.scale or (min(SCALE, span / 4) if span else SCALE),
         }  # fmt: skip
     elif drive.control == "velocity":
-        changes = {"kd": drive.kd or 0.1 * load, "scale": drive.scale or 10.0}
+        changes = {"kd": drive.kd or 0.1 * load, "scale": drive.scale or SPEEDS[kind]}
     elif not drive.scale:
         changes = {"scale": drive.effort or HOLDS * load}
     found = replace(drive, **changes)

@@ -28,7 +28,7 @@ def wheel_drive(source: Source, robot: RobotFile) -> Drive | None:
     for n, (name, drive) in enumerate(robot.drives.items()):
         axle, y = data.xaxis[ids[name]], float(data.xanchor[ids[name]][1] - base[1])
         if drive.control == "velocity" and abs(axle[1]) > ACROSS and abs(y) > 1e-3:
-            forward[n], side[n] = np.sign(axle[1]), np.sign(y)
+            forward[n], side[n] = np.sign(axle[1] * drive.scale), np.sign(y)
     if not {-1.0, 1.0} <= set(side):
         return None
 

@@ -61,7 +61,9 @@ def read_source(path: Path, free_base: bool = False) -> Source:
         raise ArenaError(f"{path}: {_flat(error)}") from None
     spec.compiler.discardvisual = False
     urdf = path.suffix == ".urdf" or "<robot" in path.read_text("utf-8", errors="replace")[:5000]
-    left_out = [f"{len(gone)} meshes without their files" for gone in [_drop_missing_meshes(spec, path)] if gone]
+    left_out = [
+        f"{_count(len(gone), 'mesh', 'meshes')} without a file" for gone in [_drop_missing_meshes(spec, path)] if gone
+    ]
     if urdf or free_base:
         _free(spec, path)
     named = _name(spec)
@@ -114,14 +116,19 @@ def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> list[str]:
 
 
 def _free(spec: mujoco.MjSpec, path: Path) -> None:
-    """Add a free joint to the only body under the world, unless one has it already."""
+    """Add a free joint to the only body under the world, unless one has it already; keyframes keep the joints' pose."""
     tops = spec.worldbody.bodies
     if any(int(joint.type) == FREE for body in tops for joint in body.joints):
         return
     if len(tops) != 1:
         names = ", ".join(body.name or "unnamed" for body in tops) or "none"
         raise ArenaError(f"{path}: a robot is one body under the world with all others in it; there are: {names}")
+    sizes = {FREE: 7, BALL: 4}
+    before = sum(sizes.get(int(joint.type), 1) for joint in spec.joints)
     tops[0].add_freejoint(name=ADDED_JOINT)
+    for key in spec.keys:
+        if len(key.qpos) == before:  # MuJoCo would give its first numbers to the base
+            key.qpos = [*tops[0].pos, 1.0, 0.0, 0.0, 0.0, *key.qpos]
 
 
 def _name(spec: mujoco.MjSpec) -> int:
@@ -195,19 +202,32 @@ def _check(model: mujoco.MjModel, path: Path, joints: list[int]) -> None:
 
 def _left_out(spec: mujoco.MjSpec, model: mujoco.MjModel, base: int) -> Iterator[str]:
     floor = int(np.sum(model.body_rootid[model.geom_bodyid] != base))
+    if floor:
+        yield f"{_count(floor, 'geom')} of the scene"
     for count, what in (
-        (floor, "geom of the scene"), (len(spec.lights), "light"), (len(spec.cameras), "camera"),
+        (len(spec.lights), "light"), (len(spec.cameras), "camera"),
         (len(spec.sensors), "sensor"), (len(spec.tendons), "tendon"), (len(spec.sites), "site"),
         (model.nflex, "flex part"),
     ):  # fmt: skip
         if count:
-            yield f"{count} {what}{'' if count == 1 else 's'}"
+            yield _count(count, what)
     if slow := int(np.sum(model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_NONE))):
-        yield f"the activation dynamics of {slow} actuator{'' if slow == 1 else 's'}, which act at once here"
+        yield f"the activation dynamics of {_count(slow, 'actuator')}, which act at once here"
     motors = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)) & (model.actuator_ctrllimited == 1)
     low, high = model.actuator_ctrlrange.reshape(-1, 2).T
     if lopsided := int(np.sum(motors & (abs(low + high) > 1e-6 * (high - low)))):
-        yield f"the unequal control range of {lopsided} motor{'' if lopsided == 1 else 's'}: both ways as the wider one"
+        yield f"the unequal control range of {_count(lopsided, 'motor')}: both ways as the wider one"
+    forced = [range_ for limited, range_ in zip(model.actuator_forcelimited, model.actuator_forcerange, strict=True)
+              if limited]  # fmt: skip
+    forced += [
+        range_ for limited, range_ in zip(model.jnt_actfrclimited, model.jnt_actfrcrange, strict=True) if limited
+    ]
+    if unequal := sum(abs(low + high) > 1e-6 * (high - low) for low, high in forced):
+        yield f"{_count(unequal, 'unequal range')} of force: both ways as the wider one"
+
+
+def _count(number: int, one: str, many: str | None = None) -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def _shapes(spec: mujoco.MjSpec, model: mujoco.MjModel, path: Path) -> mujoco.MjModel:

@@ -135,7 +135,8 @@ def _reading(settings: "RobotFile", source: "Source") -> str:
     if source.left_out:
         lines.append(f"left out: {', '.join(source.left_out)}")
     if source.named:
-        lines.append(f"named: {source.named} bodies, joints and geoms that had no name")
+        parts = "body, joint or geom" if source.named == 1 else "bodies, joints and geoms"
+        lines.append(f"named: {source.named} {parts} that had no name")
     return "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ from league.snapshots.exports.networks import memory_units, noise_size
 def torchscript_bytes(arrays: Mapping[str, np.ndarray], agent: Mapping[str, Any]) -> bytes:
     """Return the TorchScript file of one agent's network; the arguments are those of `onnx_bytes`."""
     kind = _OverSkills if "over" in agent else _Recurrent if agent.get("recurrent") else _Plain
-    module = kind(arrays, agent).eval()
+    module = kind(arrays, agent).eval().requires_grad_(False)  # a memory would keep the graph of a whole episode
     data = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # torch advises torch.export; robots still load TorchScript

@@ -16,6 +16,7 @@ import numpy as np
 
 from agents.policy.host_policy import Actor, HostPolicy
 from arenas.rosters import roster_agents
+from league.snapshots.programs.kinds import kind_of
 from league.snapshots.programs.model import AgentSizes, Model, ProgramError
 from storage.blobs import programs
 from storage.blobs.files import open_file
@@ -51,6 +52,8 @@ class Program:
 def read(kind: str, names: Sequence[str], roster: str) -> Program:
     """Read the programs of a roster: one for all its agents, or one for each. Raises ProgramError, one line."""
     agents = sizes(roster)
+    if len({kind_of(name) for name in names} - {None}) > 1:
+        raise ProgramError(f"{','.join(names)}: give programs of one kind, x.onnx, x.pt or x.py:function")
     if len(names) not in (1, len(agents)):
         raise ProgramError(
             f"{len(names)} files for the {len(agents)} agents of {roster}: give one for all, or one for each"
@@ -133,14 +136,22 @@ def _tried(kind: str, file: tuple[str, bytes], agent: AgentSizes) -> dict[str, A
     return {"how": "single" if model.rows == 1 else "batched"}
 
 
+def _reason(error: Exception) -> str:
+    """Return an error's type and text in one line; TorchScript tells the cause last, below a long traceback."""
+    lines = [line for line in map(str.strip, str(error).splitlines()) if line]
+    if "TorchScript interpreter" in str(error):
+        return lines[-1][:200]
+    return f"{type(error).__name__}: {' '.join(' '.join(lines).split())[:200]}"
+
+
 def _trial(actor: Actor, name: str, agent: AgentSizes) -> None:
     seen, noise = agent.trial(TRIAL)
     for begins in (True, False):
         try:
             found = np.asarray(actor(seen, noise, np.full(TRIAL, begins)))
         except Exception as error:  # a stranger's code
-            reason = " ".join(str(error).split())[:200]
-            raise ProgramError(f"{name}: standard normal observations raise {type(error).__name__}: {reason}") from None
+            sees = f"standard normal observations ({TRIAL}, {agent.observation})"
+            raise ProgramError(f"{name}: {sees} raise {_reason(error)}") from None
         if found.shape != (TRIAL, agent.action):
             raise ProgramError(
                 f"{name}: {TRIAL} observations give actions of shape {found.shape}, and a {agent.kind} of this team"

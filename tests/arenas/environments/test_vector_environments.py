@@ -135,6 +135,24 @@ def test_opponents_change_at_a_reset_and_known_ones_without_compiling_again(race
     assert step._cache_size() == 1
 
 
+def test_options_of_stable_baselines_change_the_opponent_of_all_rows_once():
+    env = arenas.stable_baselines(RACE, "blue", "idle", num_envs=4, threads=1)
+
+    def played():
+        env.seed(3)
+        env.reset()
+        return np.stack([env.step(np.zeros((4, 2), np.float32))[0] for _ in range(3)])
+
+    still = played()
+    env.set_options({"opponent": "sprinter"})
+    changed = played()
+    assert not np.array_equal(changed, still)
+    np.testing.assert_array_equal(played(), changed)  # the opponent stays
+    env.set_options([{"opponent": "idle"}, {}, {}, {}])
+    with pytest.raises(ArenaError, match="set_options: all rows move in one program, so give one dict for all"):
+        env.reset()
+
+
 @pytest.mark.parametrize("arrays", ["jax", "torch"])
 def test_arrays_of_other_libraries_hold_the_same_numbers(arrays, race):
     kind = {"jax": jax.Array, "torch": torch.Tensor}[arrays]
@@ -228,9 +246,18 @@ def test_bad_actions_and_opponents_are_told_in_one_line(race):
             race.step(actions)
     with pytest.raises(ArenaError, match="reset_mask: worlds restart by themselves"):
         race.reset(options={"reset_mask": np.ones(4, bool)})
+    with pytest.raises(ArenaError, match="options: unknown 'oponent'; reset takes 'opponent' alone"):
+        race.reset(options={"oponent": "sprinter"})
     wrong = opponent_for(race.arena, race.arena.teams[1], lambda seen, key: {"red/0": jnp.zeros(3)})
     with pytest.raises(ArenaError, match=r"an action \(2,\) of each of red/0; for red/0 it gave \(3,\)"):
         wrong.act((), {"red/0": jnp.zeros((4, 6))}, jax.random.split(jax.random.key(0), 4), (), jnp.ones(4, bool))
+
+
+def test_an_action_of_one_world_that_is_no_array_is_told_in_one_line(alone):
+    alone.reset(seed=0)
+    for action, line in (("left", "the action 'left' is no array of numbers"), ([0.0] * 9, r"the shape \(9,\)")):
+        with pytest.raises(ArenaError, match=line):
+            alone.step(action)
 
 
 def test_it_is_an_environment_of_gymnasium(race):

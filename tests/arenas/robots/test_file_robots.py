@@ -59,6 +59,9 @@ def test_a_model_becomes_one_body_that_touches_ground_and_bodies_and_leaves_its_
         (MOTOR, "torque", {"scale": 12.0, "effort": 12.0}),
         ('<position joint="{joint}" kp="30"/><velocity joint="{joint}" kv="4"/>', "position", {"kp": 30.0, "kd": 4.0}),
         ('<position joint="{joint}" kp="5" gear="2"/>', "position", {"kp": 20.0}),
+        (MOTOR.replace('"4"', '"-4"'), "torque", {"scale": -12.0, "effort": 12.0}),
+        ('<velocity joint="{joint}" kv="3" gear="-2" ctrlrange="-7 7"/>', "velocity", {"kd": 12.0, "scale": -3.5}),
+        ('<position joint="{joint}" kp="5" forcerange="-9 2"/>', "position", {"effort": 9.0}),
     ],
 )
 def test_actuators_of_each_kind_are_read(write, actuators, control, numbers):
@@ -72,6 +75,10 @@ def test_what_an_actuator_loses_is_told(write):
     told = ["the activation dynamics of 8 actuators, which act at once here"]
     told += ["the unequal control range of 8 motors: both ways as the wider one"]
     assert source_of(derive(write(mjcf(filtered)))).left_out[3:] == told
+    pulls = mjcf(POSITION).replace('actuatorfrcrange="-20 20"', 'actuatorfrcrange="-20 0"')
+    pulling = derive(write(pulls + " "))
+    assert {drive.effort for drive in pulling.drives.values()} == {20.0}
+    assert source_of(pulling).left_out[3:] == ["8 unequal ranges of force: both ways as the wider one"]
 
 
 @pytest.mark.parametrize("control", ["position", "velocity", "torque"])
@@ -97,11 +104,39 @@ def test_a_urdf_gets_a_free_base_and_its_efforts(write):
     assert [f for f in RobotTrial(robot_of(settings)).findings() if not f.ok] == []
 
 
+def test_a_sliding_joint_without_gains_holds_its_load(write):
+    lift = """</body><body name="lift"><joint name="lift" type="slide" axis="0 0 1" range="0 .4"/>
+<geom type="sphere" size=".05" pos="0 0 .2" mass="1"/></body></body>"""
+    text = mjcf().replace("</body>\n</worldbody>", lift.removeprefix("</body>") + "\n</worldbody>")
+    settings = derive(write(text))
+    assert settings.drives["lift"].kp > 1 * 9.81 / 0.02  # N/m: the load of 1 kg lowers it by less than 2 cm
+    assert [f for f in RobotTrial(robot_of(settings)).findings() if not f.ok] == []
+    by_speed = derive(write(text), control="velocity")
+    assert (by_speed.drives["lift"].scale, by_speed.drives["fl_hip"].scale) == (0.5, 10.0)
+
+
 def test_the_standing_pose_is_the_keyframe(write):
     key = f'<keyframe><key name="home" qpos="0 0 .4 1 0 0 0 {"0.5 -1 " * 4}"/></keyframe>'
     settings = derive(write(mjcf(POSITION, extra=key)))
     assert (settings.drives["fl_hip"].home, settings.drives["fl_knee"].home) == (0.5, -1.0)
     assert settings.height == pytest.approx(2 * 0.2 * np.cos(0.5) + 0.03, abs=1e-3)
+
+
+def test_the_keyframe_is_that_of_the_joints_where_the_base_is_freed(write):
+    key = f'<keyframe><key name="home" qpos="{"0.5 -1 " * 4}"/></keyframe>'
+    settings = derive(write(mjcf(POSITION, free="", extra=key)), free_base=True)
+    assert [drive.home for drive in settings.drives.values()] == [0.5, -1.0] * 4
+
+
+def test_a_turned_gear_turns_what_an_action_does_and_wheels_still_drive_ahead(write):
+    turned = derive(write(mjcf(MOTOR.replace('"4"', '"-4"'))))
+    moved = RobotTrial(robot_of(turned)).moved()
+    assert all(each.ok and each.by < -0.01 for each in moved)
+    text = cart().replace('joint="right"', 'joint="right" gear="-1"')
+    drive = file_robot(str(write(text, "cart.xml"))).drive
+    assert drive is not None
+    ahead = np.asarray(drive(jnp.array([2.0, 0.0]), False))
+    assert ahead[0] == ahead[1] > 0  # the right axle points backwards, and its gear turns that around
 
 
 def test_a_tilted_base_is_turned_upright(write):
@@ -137,11 +172,15 @@ def test_a_robot_file_is_read_back_and_an_edited_pose_is_fitted(write):
         (mjcf(POSITION, knees=("fl", "fr", "hl")), "joint hr_knee has no actuator"),
         (mjcf(POSITION, knees=("fl", "fr")), "hl_knee, hr_knee have no actuator.*bot.xml --passive hl_knee,hr_knee$"),
         (mjcf(MOTOR + MOTOR), r"joint fl_hip has two actuators \(torque and torque\).*keep one"),
-        (mjcf('<muscle joint="{joint}"/>'), "actuator 0 is no motor, position or velocity actuator"),
+        (mjcf('<muscle joint="{joint}"/>'), "actuator 0 of joint fl_hip is no motor, position or"),
         (mjcf().replace('name="fl_hip" axis="0 1 0" range="-1 1"', 'name="fl_hip" type="ball" range="0 1"'), "fl_hip"),
         (mjcf().replace('type="box" size=".2 .1 .05" mass="5"', 'type="mesh" mesh="m"').replace(
             "<worldbody>", '<asset><mesh name="m" file="gone.stl"/></asset><worldbody>'), "body base .*gone.stl"),
         (mjcf(extra='<equality><joint name="tie" joint1="fl_hip" joint2="fr_hip"/></equality>'), "equality tie"),
+        (mjcf('<general joint="{joint}" gainprm="9" biastype="affine" biasprm="5 -9 -1"/>'), "fl_hip is no motor"),
+        (mjcf(POSITION).replace('pos="0 0 .6">', 'pos="0 0 .6"><frame pos="0 0 .43">').replace(
+            "</body>\n</worldbody>", "</frame></body>\n</worldbody>").replace("<freejoint/>", "").replace(
+            "<frame", "<freejoint/><frame"), "the origin of base base is not above the lowest of its geoms"),
         ("<mujoco><worldbody><body", "XML"),
     ],
 )  # fmt: skip

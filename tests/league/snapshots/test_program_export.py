@@ -120,6 +120,16 @@ def by_numpy(own, folder):
     return act
 
 
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+@pytest.mark.parametrize("kind", ["plain", "recurrent"])
+def test_a_module_keeps_no_graph_of_what_it_did(kind):
+    own = scrambled(1, **KINDS[kind])
+    module = torch.jit.load(io.BytesIO(torchscript_bytes(own, described(own))))
+    memory = [torch.zeros(2, module.memory_size)] if kind == "recurrent" else []
+    found = module(torch.ones(2, 2), torch.zeros(2, 1), *memory)
+    assert not any(each.requires_grad for each in (found if memory else [found]))
+
+
 @pytest.mark.parametrize("taken", [by_onnx, by_torchscript, by_numpy])
 def test_an_exported_policy_acts_as_in_the_league_over_whole_episodes(taken, policies, episodes, tmp_path):
     for kind, own in enumerate(policies):

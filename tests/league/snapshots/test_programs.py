@@ -154,11 +154,13 @@ def test_programs_that_take_one_world_at_a_time_are_called_in_a_loop(home, use, 
     assert (match.losses, match.voids) == (32, 0)  # scissors cut paper
 
 
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_path):
     (tmp_path / "nan.py").write_text(
         "def nan(x):\n    return x.repeat(3, 1) * float('nan')\n\ndef wide(x):\n    return x\n"
     )
     torch.save({"w": torch.zeros(2)}, tmp_path / "state.pt")
+    torch.jit.script(torch.nn.Linear(4, 3)).save(tmp_path / "wide.pt")
     (tmp_path / "text.onnx").write_text("this is no protobuf")
     (tmp_path / "text").write_text("this is nothing")
     refused = {
@@ -166,6 +168,7 @@ def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_pat
         gemm(tmp_path / "acts.onnx", acts=2): "output y has 2 numbers, and a chooser of this team acts with 3",
         f"{tmp_path}/text.onnx": "is no ONNX file that onnxruntime can load",
         f"{tmp_path}/state.pt": "is no TorchScript file",
+        f"{tmp_path}/wide.pt": "observations (3, 1) raise RuntimeError: mat1 and mat2 shapes cannot be multiplied",
         f"{tmp_path}/text": "is no policy that `league export` wrote, nor",
         f"{tmp_path}/none.onnx": "none.onnx",
         f"{tmp_path}/nan.py": "nan.py:function",
@@ -173,6 +176,7 @@ def test_what_is_no_policy_of_the_team_is_refused_in_one_line(home, use, tmp_pat
         f"{tmp_path}/nan.py:wide": "a batch of 3 gave shape (3, 1)",
         f"{tmp_path}/nan.py:lost": "has no function or class 'lost'",
         f"{tmp_path}/away.py:act": "there is no file",
+        f"{tmp_path}/acts.onnx,{tmp_path}/wide.pt": "give programs of one kind, x.onnx, x.pt or x.py:function",
         f"{tmp_path}/wide.onnx,{tmp_path}/wide.onnx": "2 files for the 1 agents",
     }
     for named, why in refused.items():

@@ -237,7 +237,10 @@ def test_an_agent_without_a_skill_acts_by_itself_at_the_clock_of_its_team():
     assert all(own["skill.every"] == 5 for own in skills.arrays)
 
 
-def test_a_file_that_is_no_policy_is_refused(tmp_path: Path):
-    (tmp_path / "x.safetensors").write_bytes(b"nothing")
-    with pytest.raises(StorageError):
-        check_skills(SkillSettings((str(tmp_path / "x.safetensors"),), ("slot A",)), arena("sumo-1v1-anymal"))
+@pytest.mark.parametrize(
+    ("name", "said"), [("x.safetensors", "is no policy"), ("x.onnx", "is a program, .*safetensors")]
+)
+def test_a_file_that_is_no_policy_is_refused(name, said, tmp_path: Path):
+    (tmp_path / name).write_bytes(b"nothing")
+    with pytest.raises(StorageError, match=said):
+        check_skills(SkillSettings((str(tmp_path / name),), ("slot A",)), arena("sumo-1v1-anymal"))
