@@ -14,7 +14,7 @@ from dashboards.web.document import FigureBlock, FilmBlock, Page, PairTable, Par
 from league.config.schema import ConfigError
 from league.queries.columns import CURVES, NEWEST, PLAYERS, WORKERS
 from league.queries.league_status import LeagueStatus, gather_status
-from league.queries.opponents import explain_opponents, mark_present, opponent_columns
+from league.queries.opponents import explain_opponents, mark_present, opponent_columns, team_named
 from league.queries.page.learning_curves import DRAWN, SPEED, LearningCurves
 from league.queries.page.match_tables import newest_matches, pair_table, played
 from league.queries.page.overview import Facts, overview
@@ -211,7 +211,7 @@ def _opponents(opened: Open, state: LeagueState) -> Iterator[str | FigureBlock |
 
 def _mixture(found: Mapping[str, Any], player: Player) -> Iterator[FigureBlock | TableBlock]:
     for team in found["teams"] if found["learns"] else ():
-        against = f" in team {team['team']}" if len(found["teams"]) > 1 else ""
+        against = f" in {team_named(team)}" if len(found["teams"]) > 1 else ""
         caption = f"Whom {player.name} meets{against} by the rule {found['kind']}"
         yield FigureBlock(figures.mixture([*team["opponents"], *team["older"]]), f"{caption}: {team['why']}.")
         shown, total = mark_present(team["opponents"]), len(team["opponents"]) + len(team["older"])
