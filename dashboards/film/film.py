@@ -146,11 +146,11 @@ class Film:
             for some in (ratings, [rating.partition(" ±")[0] for rating in ratings], [""] * len(players))
         ]
         font = _font(pixels)
-        for named in said:
-            width = pen.textlength(" against ".join(named), font=font)
+        widths = [pen.textlength(" against ".join(named), font=font) for named in said]
+        for named, width in zip(said, widths, strict=True):
             if width <= room:
                 return named, font
-        return said[-1], _font(pixels * room / width)
+        return said[-1], _font(pixels * room / widths[-1])
 
 
 def _pillow() -> Any:

@@ -203,9 +203,9 @@ def lineage(snapshots: Rows, players: Sequence[str] = ()) -> Figure:
             "customdata": [s["parent"] or "nobody" for s in own], "marker": {"color": style["color"], "size": 8},
             "hovertemplate": "%{text}, from %{customdata}<extra></extra>",
         })  # fmt: skip
-    players = len(dict.fromkeys(y for _, y in place.values()))
+    lanes = len(dict.fromkeys(y for _, y in place.values()))
     axis = {"type": "category", "automargin": True}
-    return _figure(traces, "training steps of the player", "", 140 + 40 * players, yaxis=axis, hovermode="closest")
+    return _figure(traces, "training steps of the player", "", 140 + 40 * lanes, yaxis=axis, hovermode="closest")
 
 
 def compact(figure: Figure, height: int) -> Figure:
