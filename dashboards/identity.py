@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from arenas.scene.colours import TEAM_COLOURS
-from storage.recordings.recording import RecordingHeader
+from storage.recordings.recording import Recording, RecordingHeader
 
 Colour = tuple[int, int, int]
 
@@ -54,6 +54,21 @@ def with_distinct_colours(players: Sequence[MatchPlayer], age: Sequence[float]) 
         kept.add(who.colour)
         found.append(replace(who, colour=_pale(who.colour)) if pale else who)
     return tuple(found)
+
+
+def named_events(recording: Recording, players: Sequence[MatchPlayer]) -> list[tuple[int, str]]:
+    """Return a recording's events as (step, text), with the name of the player in place of its side.
+
+    Robots have the colours of their players, and a side may be called by the colour of another one. A snapshot that
+    plays several sides is named with its side.
+    """
+    names = [player.name for player in players]
+    called = {
+        team: name if names.count(name) == 1 else f"{name} as {team}"
+        for team, name in zip(recording.header.teams, names, strict=True)
+    }
+    parts = [(step, *text.rpartition(": ")) for step, text in recording.events]
+    return [(step, f"{what}{colon}{called.get(team, team) if colon else team}") for step, what, colon, team in parts]
 
 
 def shape(side: int) -> tuple[str, int]:

@@ -251,7 +251,7 @@ def _texts(values: list[Any], decimals: int | None) -> list[str]:
         elif isinstance(value, int):
             texts.append(f"{value:{group}d}")
         elif _is_number(value):
-            texts.append(f"{value:{group}.{decimals}f}")
+            texts.append(f"{value:z{group}.{decimals}f}")  # z: no minus before a zero
         else:
             texts.append(visible(str(value)))
     return texts

@@ -33,5 +33,5 @@ def progress_bar(share: float) -> str:
 
 
 def styles(owners: Iterable[str]) -> dict[str, str]:
-    """Return a colour for each owner, by its position among the sorted owners."""
-    return dict(zip(sorted(set(owners)), cycle(STYLES), strict=False))
+    """Return a colour for each owner, by its place in their order: in a league's order they are like those of films."""
+    return dict(zip(dict.fromkeys(owners), cycle(STYLES), strict=False))

@@ -21,7 +21,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from dashboards.errors import ViewerError
-from dashboards.identity import MatchPlayer
+from dashboards.identity import MatchPlayer, named_events
 from dashboards.replay import Replay, replay, rgba, rotate, visible_geoms
 from storage.blobs.files import new_file
 from storage.recordings.mcap_messages import message_classes
@@ -40,7 +40,7 @@ def write_foxglove(recording: Recording, path: Path, players: Sequence[MatchPlay
         send = _Sender(writer, kinds, recording.header.dt)
         _describe(writer, scene)
         send("/scene", kinds["SceneUpdate"](entities=list(_entities(kinds, scene, recording))), 0)
-        events, numbers = sorted(recording.events), step_messages(recording)
+        events, numbers = sorted(named_events(recording, scene.players)), step_messages(recording)
         for step in range(recording.steps):
             send.bytes("/match/step", message_classes()["Step"], numbers[step], step)
             moved = kinds["FrameTransforms"](transforms=list(_transforms(kinds, scene, send.stamp(step), step)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from dashboards.errors import ViewerError
 from dashboards.film.raycaster import Camera, Raycaster
-from dashboards.identity import MatchPlayer, shape
+from dashboards.identity import MatchPlayer, named_events, shape
 from dashboards.replay import Replay, replay
 from dashboards.system.outputs import FILMS, PICTURES, new_output, require_kind
 from dashboards.viewer.panels import TRAIL, grid_spacing
@@ -121,19 +121,36 @@ class Film:
 
     def _caption(self, pen: Any, step: int) -> None:
         """Draw the players at the top, and the time and recent events at the bottom."""
-        recording, h = self.recording, self.size[1]
-        large, small = _font(h / 22), _font(h / 28)
-        x, gap = h / 40, h / 40
-        for number, player in enumerate(self.scene.players):
+        recording, players, h = self.recording, self.scene.players, self.size[1]
+        small, x, gap = _font(h / 28), h / 40, h / 40
+        named, font = self._title(pen, self.size[0] - 2 * gap)
+        for number, (player, text) in enumerate(zip(players, named, strict=True)):
             if number:
-                pen.text((x, gap), "against", font=large, fill=FAINT)
-                x += pen.textlength("against ", font=large)
-            text = f"{player.name} {player.rating}".strip()
-            pen.text((x, gap), text, font=large, fill=player.colour)
-            x += pen.textlength(f"{text} ", font=large)
-        happened = [text for at, text in recording.events if at <= step]
+                pen.text((x, gap), "against", font=font, fill=FAINT)
+                x += pen.textlength("against ", font=font)
+            pen.text((x, gap), text, font=font, fill=player.colour)
+            x += pen.textlength(f"{text} ", font=font)
+        happened = [text for at, text in named_events(recording, players) if at <= step]
         text = f"{recording.time[step]:5.1f} s   {' · '.join(happened[-3:])}"
         pen.text((h / 40, h - gap), text, font=small, anchor="ls", fill=INK)
+
+    def _title(self, pen: Any, room: float) -> tuple[list[str], Any]:
+        """Return what is said of each player at the top, and its font: as much as `room` pixels hold.
+
+        Of many players intervals are left out first, then ratings; then letters are smaller.
+        """
+        players, pixels = self.scene.players, self.size[1] / 22
+        ratings = [player.rating for player in players]
+        said = [
+            [f"{player.name} {rating}".strip() for player, rating in zip(players, some, strict=True)]
+            for some in (ratings, [rating.partition(" ±")[0] for rating in ratings], [""] * len(players))
+        ]
+        font = _font(pixels)
+        widths = [pen.textlength(" against ".join(named), font=font) for named in said]
+        for named, width in zip(said, widths, strict=True):
+            if width <= room:
+                return named, font
+        return said[-1], _font(pixels * room / widths[-1])
 
 
 def _pillow() -> Any:

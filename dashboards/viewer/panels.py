@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dashboards.identity import Colour, MatchPlayer, shape
+from dashboards.identity import Colour, MatchPlayer, named_events, shape
 from dashboards.replay import EYE, TARGET, Replay, distances
 from dashboards.viewer.scene import times
 from storage.recordings.recording import Recording
@@ -23,7 +23,7 @@ def draw_panels(rr: Any, stream: Any, recording: Recording, scene: Replay) -> No
         entity = rr.new_entity_path(path)
         stream.log(entity, rr.SeriesLines(colors=[colour], names=[name], widths=[2.0]), static=True)
         stream.send_columns(entity, times(rr, recording), rr.Scalars.columns(scalars=values))
-    _draw_events(rr, stream, recording)
+    _draw_events(rr, stream, recording, scene)
 
 
 def _curves(recording: Recording, scene: Replay) -> Iterator[tuple[list[str], str, Colour, np.ndarray]]:
@@ -48,17 +48,18 @@ def _player(recording: Recording, scene: Replay, judged: str) -> MatchPlayer:
     return next(who for team, agents, who in named if judged in (team, *agents))
 
 
-def _draw_events(rr: Any, stream: Any, recording: Recording) -> None:
+def _draw_events(rr: Any, stream: Any, recording: Recording, scene: Replay) -> None:
     """Log events as lines of a log, and each text as a lane of its own on the timeline, lit for a moment."""
-    if not recording.events:
+    events = named_events(recording, scene.players)
+    if not events:
         return
-    steps = np.array([step for step, _ in recording.events])
-    text = rr.TextLog.columns(text=[text for _, text in recording.events], level=["INFO"] * len(steps))
+    steps = np.array([step for step, _ in events])
+    text = rr.TextLog.columns(text=[text for _, text in events], level=["INFO"] * len(steps))
     stream.send_columns("events", times(rr, recording, steps), text)
     moment = max(1, recording.steps // 100)
-    for text in dict.fromkeys(text for _, text in recording.events):
+    for text in dict.fromkeys(text for _, text in events):
         lit = np.zeros(recording.steps + 1, bool)
-        for step, other in recording.events:
+        for step, other in events:
             lit[step : step + moment] |= other == text
         changes = np.flatnonzero(np.diff(lit[:-1], prepend=False))
         states = rr.StateChange.columns(state=[text if lit[step] else "" for step in changes])

@@ -14,8 +14,10 @@ Rows = Sequence[Mapping[str, Any]]
 Line = tuple[Sequence[float], Sequence[float]]
 """Points in order, as x and y."""
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
-"""Colours that most colour-blind readers can distinguish, on dark and light (Okabe and Ito's, except for two)."""
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#8c6bb1", "#cc79a7", "#56b4e9", "#7f7f7f")
+"""Colours that most colour-blind readers can distinguish, on dark and light (Okabe and Ito's, except for two).
+
+By a player's number they are as like as may be to those in films (`dashboards.identity`): blue, red, green, yellow."""
 DASHES = ("solid", "dash", "dot", "dashdot")  # with more players than colours
 SYMBOLS = ("circle", "diamond", "square", "triangle-up")  # of markers, one for each dash
 SCORES = [[0.0, "#d55e00"], [0.5, "#e8e8e8"], [1.0, "#0072b2"]]
@@ -27,18 +29,19 @@ CELLS = 100
 """Maximum number of rows and columns of a heat map."""
 
 
-def ladder(rows: Rows, merit: str = "elo") -> Figure:
+def ladder(rows: Rows, merit: str = "elo", players: Sequence[str] = ()) -> Figure:
     """Return the best-rated snapshots with their 95 % intervals, the best on top.
 
     Args:
         rows: best first, with `name`, `player` (None for a script), the merit, and its bounds: `low` and `high`, or
             `success_low` and `success_high`.
         merit: `elo` or `success`.
+        players: see `_styles`.
     """
     low, high = bounds(merit)
     shown = [row for row in rows if row[merit] is not None][:BARS]
     traces = []
-    for owner, style in _styles(row["player"] for row in shown).items():
+    for owner, style in _styles((row["player"] for row in shown), players).items():
         own = [row for row in shown if row["player"] == owner]
         traces.append({
             "type": "scatter", "mode": "markers", "name": owner or "fixed",
@@ -56,18 +59,19 @@ def ladder(rows: Rows, merit: str = "elo") -> Figure:
     )  # fmt: skip
 
 
-def ratings(rows: Rows, merit: str = "elo") -> Figure:
+def ratings(rows: Rows, merit: str = "elo", players: Sequence[str] = ()) -> Figure:
     """Return ratings over the training steps of each player, with 95 % bands; fixed players as level lines.
 
     Args:
         rows: in any order, as for `ladder`, with `steps` (environment steps; None for a fixed player).
         merit: `elo` or `success`.
+        players: see `_styles`.
     """
     low, high = bounds(merit)
     rated = [row for row in rows if row[merit] is not None]
     learnt = sorted((row for row in rated if row["steps"] is not None), key=lambda row: row["steps"])
     traces = []
-    for owner, style in _styles(row["player"] for row in learnt).items():
+    for owner, style in _styles((row["player"] for row in learnt), players).items():
         own = [row for row in learnt if row["player"] == owner]
         x = [row["steps"] for row in own]
         band = [row[high] for row in own] + [row[low] for row in reversed(own)]
@@ -132,16 +136,19 @@ def mixture(opponents: Rows) -> Figure:
     return _figure([bars], "probability", "", 110 + 20 * len(names), yaxis=axis, showlegend=False)
 
 
-def curves(lines: Mapping[str, Line], title: str, across: str = "training steps") -> Figure:
+def curves(
+    lines: Mapping[str, Line], title: str, across: str = "training steps", players: Sequence[str] = ()
+) -> Figure:
     """Return a recorded metric of learning over steps, a line for each player.
 
     Args:
         lines: by player; y is the metric.
         title: the metric's name on the page.
         across: the title of the horizontal axis.
+        players: see `_styles`.
     """
     traces = []
-    for owner, style in _styles(lines).items():
+    for owner, style in _styles(lines, players).items():
         x, y = thinned(*lines.get(owner or "", ((), ())))
         traces.append({"type": "scatter", "mode": "lines", "name": owner, "x": x, "y": y, "line": style})
     return _figure(traces, across, title, 320)
@@ -173,11 +180,12 @@ def bands(points: Rows, title: str, over: str = "steps", across: str = "training
     return _figure(traces, across, title)
 
 
-def lineage(snapshots: Rows) -> Figure:
+def lineage(snapshots: Rows, players: Sequence[str] = ()) -> Figure:
     """Return the ancestry of snapshots: a row for each player, a line from each snapshot to its parent.
 
     Args:
         snapshots: with `name`, `player` (None without a player), `parent` (a name or None) and `steps`.
+        players: see `_styles`.
     """
     place = {s["name"]: (s["steps"], s["player"] or "fixed") for s in snapshots}
     ends = [(place[s["parent"]], place[s["name"]]) for s in snapshots if s["parent"] in place]
@@ -187,7 +195,7 @@ def lineage(snapshots: Rows) -> Figure:
         "x": [x for a, b in ends for x in (a[0], b[0], None)], "y": [y for a, b in ends for y in (a[1], b[1], None)],
     }  # fmt: skip
     traces = [lines]
-    for owner, style in _styles(s["player"] for s in snapshots).items():
+    for owner, style in _styles((s["player"] for s in snapshots), players).items():
         own = [s for s in snapshots if s["player"] == owner]
         traces.append({
             "type": "scatter", "mode": "markers", "name": owner or "fixed", "x": [s["steps"] for s in own],
@@ -195,9 +203,9 @@ def lineage(snapshots: Rows) -> Figure:
             "customdata": [s["parent"] or "nobody" for s in own], "marker": {"color": style["color"], "size": 8},
             "hovertemplate": "%{text}, from %{customdata}<extra></extra>",
         })  # fmt: skip
-    players = len(dict.fromkeys(y for _, y in place.values()))
+    lanes = len(dict.fromkeys(y for _, y in place.values()))
     axis = {"type": "category", "automargin": True}
-    return _figure(traces, "training steps of the player", "", 140 + 40 * players, yaxis=axis, hovermode="closest")
+    return _figure(traces, "training steps of the player", "", 140 + 40 * lanes, yaxis=axis, hovermode="closest")
 
 
 def compact(figure: Figure, height: int) -> Figure:
@@ -223,9 +231,13 @@ def thinned(x: Sequence[float], y: Sequence[float], most: int = POINTS) -> tuple
     return [x[min(i + size, len(x)) - 1] for i in starts], [sum(group) / len(group) for group in groups]
 
 
-def _styles(owners: Iterable[str | None]) -> dict[str | None, dict[str, Any]]:
-    """Return each owner's line style, in order of names: equal in all figures with the same owners."""
-    named = sorted({owner for owner in owners if owner is not None})
+def _styles(owners: Iterable[str | None], players: Sequence[str] = ()) -> dict[str | None, dict[str, Any]]:
+    """Return each owner's line style.
+
+    All players of a league, in its order, have the same styles in all its figures, and the colours of its films; other
+    owners follow in order of names.
+    """
+    named = dict.fromkeys((*players, *sorted({owner for owner in owners if owner is not None})))
     styles: dict[str | None, dict[str, Any]] = {
         name: {"color": COLOURS[i % 7], "dash": DASHES[i // 7 % 4], "width": 2} for i, name in enumerate(named)
     }

@@ -47,7 +47,7 @@ def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = F
     if unbounded_fits.several_ranked(rows) and not ticking:
         columns = (columns[0], ISLAND, *columns[1:])
     if lit:
-        rows, at = _lit(rows, "success" if ladder.one_team else "elo"), columns.index("games")
+        rows, at = _lit(rows, "success" if ladder.one_team else "elo", shown.names), columns.index("games")
         columns = (*columns[:at], COURSE, *columns[at:])
     parts = [render(rows, columns, title=title, colour=lit)]
     if sides:
@@ -58,7 +58,7 @@ def rated_table(ladder: Ladder, rows: list[Row], shown: Shown, ticking: bool = F
     return "\n\n".join([*parts, *(["\n".join(map(wrapped, notes))] if notes else [])])
 
 
-def _lit(rows: Sequence[Row], merit: str) -> list[Row]:
+def _lit(rows: Sequence[Row], merit: str, players: Sequence[str]) -> list[Row]:
     """Return rows in the colours of their players; each player's newest row has the history of its ratings."""
     courses: dict[str, list[Row]] = {}
     for row in sorted((r for r in rows if r["player"] and r[merit] is not None), key=lambda r: r["iteration"]):
@@ -67,5 +67,5 @@ def _lit(rows: Sequence[Row], merit: str) -> list[Row]:
     lines = {
         own[-1]["name"]: sparkline([row[merit] for row in own], min(values), max(values)) for own in courses.values()
     }
-    colours = styles(row["player"] for row in rows if row["player"])
+    colours = styles((*players, *(row["player"] for row in rows if row["player"])))
     return [{**row, COURSE.key: lines.get(row["name"], ""), "style": colours.get(row["player"])} for row in rows]

@@ -61,7 +61,8 @@ class Pairing:
         from league.matches.evaluator import MatchEvaluator
 
         config = self.config()
-        config = replace(config, rating=replace(config.rating, worlds=episodes, pairings=1, record=bool(recorded)))
+        even = episodes + episodes % 2  # as settings require; three groups of an odd number leave one world unused
+        config = replace(config, rating=replace(config.rating, worlds=even, pairings=1, record=bool(recorded)))
         arena = config.arena.build(
             engine=config.engine, worlds=episodes, threads=config.workers.threads, **config.buffers.where()
         )

@@ -68,12 +68,15 @@ class Policy:
         the opponent plays each of them. In an arena of one team there is no opponent. Raises StorageError or
         ConfigError, one line, if the policy does not fit the team or cannot meet the opponent.
         """
+        teams = len({p.team for p in league.store.players(league.league)})
+        if (opponent is None) != (teams == 1):
+            what = (
+                "one team, in which no two meet: name no opponent" if teams == 1 else f"{teams} teams: name an opponent"
+            )
+            raise ConfigError((), f"league {league.league} has {what}")
         roster = importing.roster_of(league, team)
         own = Snapshot(league.league, self._name, f"policy {id(self)}", roster, origin="imported")
-        other, groups = (
-            None if opponent is None else league.snapshot(opponent),
-            max(2, len({p.team for p in league.store.players(league.league)})),
-        )
+        other, groups = None if opponent is None else league.snapshot(opponent), max(2, teams)
         found = Pairing(league, own, other, () if other is None else (other,) * (groups - 2))
         evaluator = found.evaluator(groups * -(-episodes // groups))
         evaluator.hold(own, [*self._policies(roster)])

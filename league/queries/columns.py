@@ -32,8 +32,8 @@ PLAYERS = (
     Column("trained", no_wrap=True), "group",
 )  # fmt: skip
 WORKERS = (
-    "worker", "doing", "learners", "iteration", Column("steps/s", decimals=0), Column("job", no_wrap=True),
-    Column("lease s", decimals=0), Column("seen s ago", decimals=1),
+    "worker", "doing", "learners", Column("iteration", "it."), Column("steps/s", decimals=0),
+    Column("job", no_wrap=True), Column("lease s", decimals=0), Column("seen s ago", decimals=1),
 )  # fmt: skip
 
 

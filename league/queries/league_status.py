@@ -114,7 +114,10 @@ def _runs(manager: str | None, workers: int) -> str:
     """
     if manager is not None:
         return f"running, managed by {manager}"
-    return f"stopping, {workers} workers still finish what they do" if workers else ""
+    finishing = (
+        "1 worker still finishes what it does" if workers == 1 else f"{workers} workers still finish what they do"
+    )
+    return f"stopping, {finishing}" if workers else ""
 
 
 def _stages(store: Store, league: str) -> list[str]:

@@ -56,7 +56,13 @@ def explain_opponents(
         at = opponent_distribution(rule, state, player, team, seats.get(team, ""), role, since)
         rows, older = _rows(at, known, drawn, most)
         teams.append(
-            {"team": team, "why": at.mixture.why, "reads": at.quantity, "opponents": rows}
+            {
+                "team": team,
+                "players": [p.name for p in state.players if p.team == team],
+                "why": at.mixture.why,
+                "reads": at.quantity,
+                "opponents": rows,
+            }
             | ({} if most is None else {"older": older})
         )
     learns = phase is None or player.name in phase.learners
@@ -89,6 +95,11 @@ def _row(known: WinRecords, name: str, chance: float, read: float | None) -> dic
         "win_rate": float(known.against(name).rate), "games": int(known.games([name])[0]),
         "read": read, "inherits": source if source != name else None,
     }  # fmt: skip
+
+
+def team_named(team: Mapping[str, Any]) -> str:
+    """Return what a team is called where there are several others: its number, and who plays it."""
+    return f"team {team['team']} ({', '.join(team['players'])})"
 
 
 def mark_present(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -187,6 +187,11 @@ class Shown(NamedTuple):
     players: list[Player]
     void_limit: float
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the players, in the league's order: that of their colours."""
+        return [player.name for player in self.players]
+
 
 def only_league(store: Store) -> str:
     """Return the league of a store when none is named: the only one, otherwise the league that was run last."""

@@ -22,7 +22,7 @@ import numpy as np
 from matchmaking import graph_algorithms
 from matchmaking.ratings.davidson import Likelihood
 from matchmaking.ratings.likelihoods.priors import none
-from matchmaking.ratings.likelihoods.tie_separation import tie_direction
+from matchmaking.ratings.likelihoods.tie_separation import tie_directions
 from matchmaking.ratings.payoff import Payoff
 
 Bound = Literal["above", "below", "both"]
@@ -79,20 +79,16 @@ def examined(payoff: Payoff, sides: bool = True) -> Separation:
     if not payoff.rankings:
         return find_separation(Likelihood.of(payoff, none(), sides))
     problem = Likelihood.of(payoff, none(), sides=False)
-    found = find_separation(replace(problem, free=np.append(problem.free[:-1], False)))  # with ties fixed, by pairs
-    change = tie_direction(payoff.rankings, len(payoff.names), payoff.first, payoff.second, payoff.home)
-    if change is None:
-        return found
-    unknown = np.zeros(len(payoff.names), bool)
-    for number in range(1, found.islands + 1):
-        own = np.flatnonzero(found.island == number)
-        values, sizes = np.unique(np.round(change[own], 6), return_counts=True)
-        unknown[own] = np.abs(change[own] - values[sizes.argmax()]) > 1e-5
-    return replace(found, draw=True, unknown=unknown)
+    problem = replace(problem, free=np.append(problem.free[:-1], False))  # with ties fixed, by pairs
+    changes = tie_directions(payoff.rankings, len(payoff.names), payoff.first, payoff.second, payoff.home)
+    return find_separation(problem, changes)
 
 
-def find_separation(problem: Likelihood) -> Separation:
-    """Find every direction in which the likelihood of the games has no maximum; the prior is left out."""
+def find_separation(problem: Likelihood, changes: np.ndarray | None = None) -> Separation:
+    """Find every direction in which the likelihood of the games has no maximum; the prior is left out.
+
+    `changes` (D, P) are those of ratings along which ties of rankings have no bound, see `tie_directions`.
+    """
     seen = problem.counts.any(1)
     home, away, counts = problem.home[seen], problem.away[seen], problem.counts[seen] > 0
     size, side_identifiable = problem.size, bool(problem.free[problem.size])
@@ -102,25 +98,29 @@ def find_separation(problem: Likelihood) -> Separation:
         size, np.concatenate([home[won], away[lost]]), np.concatenate([away[won], home[lost]])
     )
     found = list(_directions(size, home, away, counts, side_identifiable, bool(problem.free[-1])))
-    groups = _groups(ford, found)
+    moves = np.zeros((0, size)) if changes is None else np.round(changes, 5)
+    groups = np.unique(np.stack([_groups(ford, found), *moves], 1), axis=0, return_inverse=True)[1].reshape(-1)
     better, worse = np.concatenate([home[won], away[lost]]), np.concatenate([away[won], home[lost]])
     bounds, unknown = np.zeros(size, int), np.zeros(size, bool)
     for number in range(1, island.max(initial=0) + 1):
         own = np.flatnonzero(island == number)
         names, sizes = np.unique(groups[own], return_counts=True)
-        main = int(own[groups[own] == names[sizes.argmax()]][0])
+        main = int(own[np.isin(groups[own], names[sizes == sizes.max()])][0])
         bounds[own] = (_against(main, better, worse, size) if sizes.max() > 1 else _alone(ford, better, worse))[own]
-        for each in found:
-            up, down = (reached[own] for reached in _reaches(each, main))
+        ways = [_reaches(each, main) for each in found]
+        if len(moves):
+            apart = moves - moves[:, [main]]
+            ways.append((np.any(apart > 0, axis=0), np.any(apart < 0, axis=0)))
+        for way in ways:
+            up, down = (reached[own] for reached in way)
             bounds[own] |= ABOVE * up + BELOW * down
             unknown[own] |= up & down
             if sizes.max() == 1:  # all are equally uncertain, including the one they are compared with
                 bounds[main] |= ABOVE * down.any() + BELOW * up.any()
                 unknown[main] |= (up & down).any()
     side = ABOVE * any(each.side > 0 for each in found) + BELOW * any(each.side < 0 for each in found)
-    return Separation(
-        BOUNDS[side], any(each.m for each in found), tuple(BOUNDS[b] for b in bounds), unknown, island
-    )  # fmt: skip
+    draw = bool(len(moves)) or any(each.m for each in found)
+    return Separation(BOUNDS[side], draw, tuple(BOUNDS[b] for b in bounds), unknown, island)
 
 
 def _groups(ford: np.ndarray, found: Sequence[_Direction]) -> np.ndarray:

@@ -1,10 +1,13 @@
 """The colours of teams and players can be told apart by people with normal vision and by the colour-blind."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from arenas.scene.colours import TEAM_COLOURS
-from dashboards.identity import COLOURS
+from dashboards.identity import COLOURS, MatchPlayer, named_events
+from tests.dashboards.cars import cars
 
 # Severity 1 of Machado, Oliveira and Fernandes (2009), on linear red, green and blue.
 VISIONS = {
@@ -48,3 +51,13 @@ def test_eight_teams_have_colours_that_everybody_can_tell_apart(vision):
 def test_eight_players_have_colours_that_everybody_can_tell_apart(vision):
     assert len(COLOURS) == 8
     assert least_distance(np.array(COLOURS) / 255, VISIONS[vision]) > 20
+
+
+def test_events_name_the_player_of_a_side_and_not_the_side_that_another_has_the_colour_of():
+    recording = replace(cars(), events=[(0, "friction: 1.5"), (3, "out: blue"), (4, "contact"), (9, "out: red")])
+    swapped = [MatchPlayer("red@8", COLOURS[1]), MatchPlayer("blue@16", COLOURS[0])]
+    assert named_events(recording, swapped) == [
+        (0, "friction: 1.5"), (3, "out: red@8"), (4, "contact"), (9, "out: blue@16"),
+    ]  # fmt: skip
+    same = [MatchPlayer("red@8", COLOURS[1])] * 2
+    assert [text for _, text in named_events(recording, same)[1::2]] == ["out: red@8 as blue", "out: red@8 as red"]

@@ -27,6 +27,10 @@ COLUMNS = [
 ]
 
 
+def test_what_rounds_to_zero_has_no_minus():
+    assert render([{"elo": -0.3}, {"elo": -41.0}], [Column("elo", decimals=0)]).split()[-2:] == ["0", "-41"]
+
+
 def test_table_lines_up_numbers_and_leaves_markup_alone():
     assert render(ROWS, COLUMNS, title="Ratings of demo", width=80).splitlines() == [
         "Ratings of demo",

@@ -26,6 +26,7 @@ def test_a_gauge_is_full_when_all_is_done_and_not_before():
     assert progress_bar(1.0) == progress_bar(1.2) == "━" * 20 + " 100 %"
 
 
-def test_the_colour_of_an_owner_does_not_hang_on_their_order():
-    assert styles(["red", "blue", "red"]) == styles(["blue", "red"])
+def test_owners_have_colours_by_their_order():
+    assert styles(["blue", "red", "green", "red"]) == {"blue": "bright_blue", "red": "bright_red", "green": "green"}
+    assert styles(["swarm", "guards"])["swarm"] == "bright_blue"
     assert len(styles(str(i) for i in range(9))) == 9

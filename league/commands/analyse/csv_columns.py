@@ -13,6 +13,11 @@ from storage.database.garbage_collection import paused_garbage_collection
 
 CHUNK = 50_000
 """Lines that are split at once: lists of fields take twenty times the memory of their text."""
+KINDS = (
+    (("event", "player", "rank"), "rankings: give the file after --rankings"),
+    (("side_a", "side_b", "wins_a", "draws", "wins_b"), "a match log: give the file without --rankings"),
+)
+"""Columns by which a file of the other kind is known, and what it is."""
 LONGEST = 200
 """Most characters of a name: a longer name is a mistake, such as a quotation mark that is not closed."""
 
@@ -125,6 +130,9 @@ def column_places(
         raise ConfigError((), f"{source} is empty: its first line names the columns {','.join(columns)}")
     for name in columns:
         if name not in header:
+            for others, what in KINDS:
+                if set(others) <= set(header) and not set(others) <= set(columns):
+                    raise ConfigError((), f"the columns are those of {what}", f"{source}:1: ")
             near = get_close_matches(name, [each for each in header if each not in columns], 1)
             meant = f" (is it {near[0]!r}?)" if near else ""
             needs = f"the first line names the columns {','.join(columns)}{hint}"

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from dashboards.tables import Column, render
 from league.commands.options import Where, parse, positional
-from league.queries.opponents import explained, mark_present, opponent_columns
+from league.queries.opponents import explained, mark_present, opponent_columns, team_named
 from league.state.learner_changes import Ancestor, lineage
 from storage.errors import UnknownName
 
@@ -71,11 +71,11 @@ def _text(found: dict[str, Any]) -> str:
     for team in found["teams"]:
         several = len(found["teams"]) > 1
         if found["share"]:
-            others = f"others of team {team['team']}" if several else "others"
+            others = f"others of {team_named(team)}" if several else "others"
             share = f"in {100 * found['share']:.3g} % of its worlds"
             lines = [f"{found['player']} meets {others} by the rule {found['kind']}, {share}: {team['why']}."]
         else:
-            other = f"team {team['team']}" if several else "the other team"
+            other = team_named(team) if several else "the other team"
             lines = [f"{found['player']} meets {other} as it is now: the share of the past is 0."]
         if not found["learns"]:
             lines.append("It does not learn now.")

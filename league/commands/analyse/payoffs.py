@@ -19,13 +19,14 @@ from league.queries.ratings.metagame import forgetting as kept_and_forgotten
 from league.queries.ratings.payoff_csv import lines
 from league.queries.ratings.rating_rows import VOID_NOTE, Row
 from league.queries.ratings.shown_players import SHOWN, of_table, prominent
+from league.scheduling.progress_metrics import meeting_rosters
 from matchmaking.metagame.alpharank import ALPHA, POPULATION, Decomposition, Selection, alpharank, decompose
 from matchmaking.metagame.mixtures import MixtureInterval, mixture_interval
 from matchmaking.metagame.nash import Equilibrium, nash
 from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.payoff import Payoff
 from storage.errors import StorageError
-from storage.records import Snapshot
+from storage.records import Player, Snapshot
 
 MIXED = ("name", "mass", "mean", "low", "high", "unmet")
 """Columns for each strategy of a league: its mass, its mass in drawn tables, and the number of unmet opponents."""
@@ -197,10 +198,23 @@ def forgetting(args: list[str]) -> int:
         for each in found
     ]  # fmt: skip
     if options.format == "table" and not rows:
-        print("No player has more than three rated snapshots that could meet each other.")
+        print(wrapped(_no_past(shown.players)))
     else:
         print(render(rows, (), options.format))
     return 0
+
+
+def _no_past(players: Sequence[Player]) -> str:
+    """Say why no player's snapshots are compared with each other: because they cannot meet, or not yet."""
+    if len({player.team for player in players}) == 1:
+        return "The arena has one team, so nobody meets anybody: `league ratings` has the successes."
+    meeting = meeting_rosters(players)
+    if not any((player.roster, player.roster) in meeting for player in players):
+        return (
+            "The sides are unlike, so no snapshot meets an older one of its own player: `league payoff` has the scores"
+            " of both against the same opponents, `league ratings` their ratings within a side."
+        )
+    return "No player has more than three rated snapshots that could meet each other."
 
 
 def _check(options: MetaOptions) -> None:

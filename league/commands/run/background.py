@@ -226,8 +226,8 @@ def _greeting(config: Config, prepared: Prepared, where: str) -> str:
     rated, pairings = prepared.rating
     sized = f"{_count(prepared.worlds, config.training.worlds)} worlds"
     if config.workers.match:
-        batch = f"{_count(rated, config.rating.worlds)} episodes of {_count(pairings, config.rating.pairings)} pairings"
-        sized += f", rating batches of {batch}"
+        batch = f"{_count(rated, config.rating.worlds)} episodes of {_count(pairings, config.rating.pairings)}"
+        sized += f", rating batches of {batch} pairing{'s' * (pairings != 1)}"
     return (
         f"League {config.league}: {' against '.join(prepared.sides)} in {prepared.arena}, engine {prepared.engine},"
         f" {sized}; stored in {where}. Ctrl-C stops it, the same command continues."

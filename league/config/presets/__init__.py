@@ -50,9 +50,9 @@ def preset(name: str) -> Config:
     """Return a preset by name. Raises ConfigError, one line with all presets, for an unknown name."""
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, 1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        hint = f": did you mean {near[0]}?" if near else ""
         raise ConfigError(
             ("preset",),
-            f"unknown preset {name!r}: {hint}(presets: {', '.join(PRESETS)}; `league presets` tells what each is)",
+            f"unknown preset {name!r}{hint} (presets: {', '.join(PRESETS)}; `league presets` tells what each is)",
         )
     return PRESETS[name]()

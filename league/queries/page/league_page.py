@@ -14,7 +14,7 @@ from dashboards.web.document import FigureBlock, FilmBlock, Page, PairTable, Par
 from league.config.schema import ConfigError
 from league.queries.columns import CURVES, NEWEST, PLAYERS, WORKERS
 from league.queries.league_status import LeagueStatus, gather_status
-from league.queries.opponents import explain_opponents, mark_present, opponent_columns
+from league.queries.opponents import explain_opponents, mark_present, opponent_columns, team_named
 from league.queries.page.learning_curves import DRAWN, SPEED, LearningCurves
 from league.queries.page.match_tables import newest_matches, pair_table, played
 from league.queries.page.overview import Facts, overview
@@ -82,8 +82,8 @@ def sections(
         ("ratings", "Ratings over training", "Ratings"): _ratings(rows, shown),
         ("payoff", "Payoff", ""): _payoff(shown, opened, link_prefix),
         ("opponents", "Opponents now", "Opponents"): _opponents(opened, state),
-        ("curves", "Learning curves", "Curves"): _curves(curves),
-        ("throughput", "Throughput", ""): _throughput(curves, status),
+        ("curves", "Learning curves", "Curves"): _curves(curves, shown.names),
+        ("throughput", "Throughput", ""): _throughput(curves, status, shown.names),
         ("jobs", "Jobs and errors", "Jobs"): _jobs(state, status),
         ("matches", "Newest matches", "Matches"): [*newest_matches(newest, total, link_prefix), *films[1:]],
         ("lineage", "Lineage", ""): _lineage(shown),
@@ -120,7 +120,7 @@ def _ladder(rows: Sequence[Row], shown: Shown) -> Iterator[str | FigureBlock | T
             caption = (
                 f"{merit.capitalize()} with 95 % intervals{name}: {which} that are known. {_extremes(known, merit)}"
             )
-            yield FigureBlock(figures.ladder(known, merit), caption)
+            yield FigureBlock(figures.ladder(known, merit, shown.names), caption)
         columns = [*(TRIED if ladder.one_team else LADDER), STEPS]
         if several_ranked(own):
             columns.insert(1, ISLAND)
@@ -156,7 +156,7 @@ def _ratings(rows: Sequence[Row], shown: Shown) -> Iterator[str | FigureBlock]:
         newest = {row["player"]: row for row in learnt}
         caption = ", ".join(f"{row['name']} {row[merit]:.4g} at {row['steps']:,}" for _, row in sorted(newest.items()))
         yield FigureBlock(
-            figures.ratings(known, merit),
+            figures.ratings(known, merit, shown.names),
             f"{merit.capitalize()}{name} over the training steps of each player, with 95 % bands; level lines: what"
             f" does not learn. Newest known: {caption}. The ladder's table has the figures.",
         )
@@ -211,7 +211,7 @@ def _opponents(opened: Open, state: LeagueState) -> Iterator[str | FigureBlock |
 
 def _mixture(found: Mapping[str, Any], player: Player) -> Iterator[FigureBlock | TableBlock]:
     for team in found["teams"] if found["learns"] else ():
-        against = f" in team {team['team']}" if len(found["teams"]) > 1 else ""
+        against = f" in {team_named(team)}" if len(found["teams"]) > 1 else ""
         caption = f"Whom {player.name} meets{against} by the rule {found['kind']}"
         yield FigureBlock(figures.mixture([*team["opponents"], *team["older"]]), f"{caption}: {team['why']}.")
         shown, total = mark_present(team["opponents"]), len(team["opponents"]) + len(team["older"])
@@ -219,7 +219,7 @@ def _mixture(found: Mapping[str, Any], player: Player) -> Iterator[FigureBlock |
         yield _table(shown, opponent_columns(team), named)
 
 
-def _curves(curves: LearningCurves) -> Iterator[str | FigureBlock | TableBlock]:
+def _curves(curves: LearningCurves, names: Sequence[str]) -> Iterator[str | FigureBlock | TableBlock]:
     if not curves.newest:
         yield "Nobody has learnt yet."
         return
@@ -227,7 +227,7 @@ def _curves(curves: LearningCurves) -> Iterator[str | FigureBlock | TableBlock]:
     for key, title in DRAWN.items():
         if key in known:
             caption = f"{title.capitalize()} over the training steps of each player."
-            yield FigureBlock(figures.curves(curves.lines(key), title), caption + _means(curves.longest))
+            yield FigureBlock(figures.curves(curves.lines(key), title, players=names), caption + _means(curves.longest))
     columns = [c for c in CURVES if (c if isinstance(c, str) else c.key) in known]
     yield _table(curves.newest, columns, f"The newest {len(curves.newest)} of {curves.total:,} iterations")
 
@@ -237,11 +237,13 @@ def _means(most: int) -> str:
     return f" A point is a mean over up to {-(-most // figures.POINTS)} iterations." if most > figures.POINTS else ""
 
 
-def _throughput(curves: LearningCurves, status: LeagueStatus) -> Iterator[str | FigureBlock | TableBlock]:
+def _throughput(
+    curves: LearningCurves, status: LeagueStatus, names: Sequence[str]
+) -> Iterator[str | FigureBlock | TableBlock]:
     yield status.share
     if timed := curves.lines(SPEED, "seconds"):
         caption = ", ".join(f"{player} {rates[-1]:,.0f}" for player, (_, rates) in sorted(timed.items()))
-        picture = figures.curves(timed, "steps per second", "seconds of training")
+        picture = figures.curves(timed, "steps per second", "seconds of training", names)
         means = _means(max(len(rates) for _, rates in timed.values()))
         yield FigureBlock(picture, f"Environment steps per second, learning included. Newest: {caption}.{means}")
     yield _table(status.workers, WORKERS[:-1], "Workers")  # the time at which they were last seen is soon out of date
@@ -269,7 +271,7 @@ def _lineage(shown: Shown) -> Iterator[FigureBlock | TableBlock | str]:
         return
     children = sum(row["parent"] is not None for row in rows)
     caption = f"{len(rows):,} snapshots by their training steps, {children:,} of which continue from another one."
-    yield FigureBlock(figures.lineage(rows), caption)
+    yield FigureBlock(figures.lineage(rows, shown.names), caption)
     title = "Snapshots"
     if len(rows) > LISTED:
         title += f": the newest {LISTED} of {len(rows):,}; `league snapshots` prints all"

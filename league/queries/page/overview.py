@@ -141,12 +141,12 @@ def _trend(facts: Facts) -> Iterator[FigureBlock]:
     learnt = [row for row in facts.rows if row["rank"] is not None and row["steps"] is not None]
     if len(learnt) > 1:
         yield FigureBlock(
-            figures.compact(figures.ratings(learnt, merit), TREND),
+            figures.compact(figures.ratings(learnt, merit, facts.shown.names), TREND),
             f"{merit.capitalize()} over training steps, with 95 % bands.",
         )
         return
     for key, title in (("score", "score in training"), ("reward", "reward per step")):
         if key in facts.curves.metrics:
-            drawn = figures.compact(figures.curves(facts.curves.lines(key), title), TREND)
+            drawn = figures.compact(figures.curves(facts.curves.lines(key), title, players=facts.shown.names), TREND)
             yield FigureBlock(drawn, f"{title.capitalize()} over training steps; ratings come later.")
             return

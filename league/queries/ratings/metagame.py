@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from league.queries.ratings.rating_rows import VOID_MARK
+from league.queries.ratings.rating_rows import VOID_MARK, side_text
 from league.queries.ratings.shown_players import foremost
 from league.scheduling.progress_metrics import can_meet
 from matchmaking.match_design import HISTORY_OFFSETS
@@ -158,12 +158,16 @@ def sides_of(
         tuple(s.name for s in kept if s.roster == side and (pattern is None or fnmatchcase(s.name, pattern)))
         for side, pattern in zip(sides, (rows, columns), strict=True)
     ]
-    for names, pattern in zip(named, (rows, columns), strict=True):
+    for names, pattern, side, where in zip(named, (rows, columns), sides, ("rows", "columns"), strict=True):
         if not names:
-            there = ", ".join(s.name for s in rated[:8]) + (", ..." if len(rated) > 8 else "")
-            which = "newest" if newest else "rated"
+            which, among = "newest" if newest else "rated", rated
             lacks = f"matches {pattern!r}" if pattern is not None else "of a side is rated yet"
-            raise StorageError(f"No {which} snapshot {lacks}; rated are: {there}.")
+            if pattern is not None and sides[0] != sides[1]:
+                lacks = f"{lacks} in the {where}, which are of {side_text(side)}"
+                among = [s for s in rated if s.roster == side]
+            there = ", ".join(s.name for s in among[:8])
+            more = f" and {len(among) - 8} more" if len(among) > 8 else ""
+            raise StorageError(f"No {which} snapshot {lacks}; rated are: {there or 'none'}{more}.")
     return named
 
 

@@ -13,6 +13,8 @@ is 0. Where this does not decide, a linear programme does, to which the violated
 none. It is solved in floating-point numbers.
 """
 
+import itertools
+
 import numpy as np
 
 from matchmaking import graph_algorithms
@@ -21,13 +23,16 @@ from matchmaking.ratings.rankings import Rankings, chunks, tied
 ZERO = 1e-7
 """Largest change, of 1 possible, that counts as none."""
 ROUNDS = 60
+AIMS, FEWEST = 10, 3
+"""Number of random aims, each with its opposite, along which directions are looked for; the least of many players."""
 
 
-def tie_direction(
+def tie_directions(
     rankings: Rankings, size: int, first: np.ndarray, second: np.ndarray, games: np.ndarray
 ) -> np.ndarray | None:
-    """Return the change (P,) of strengths along which some tie term has no bound; None if all have one.
+    """Return changes (D, P) of strengths along which some tie term has no bound; None if all have one.
 
+    They differ as far as the games allow: two strengths that change alike in all of them do so in every direction.
     `first`, `second` and `games` are the rankings' pairs (`Rankings.pairs`).
     """
     orders = rankings.tie_orders().tolist()
@@ -36,7 +41,9 @@ def tie_direction(
     chains = graph_algorithms.strong_components(size, source, target)
     if set(orders) <= _bounded(rankings, chains, orders):
         return None
-    return _Programme(rankings, size, [1, *orders], source, target).direction()
+    return _Programme(rankings, size, [1, *orders], source, target).directions(
+        graph_algorithms.connected(size, first, second)
+    )
 
 
 def _bounded(rankings: Rankings, chains: np.ndarray, orders: list[int]) -> set[int]:
@@ -52,7 +59,7 @@ def _bounded(rankings: Rankings, chains: np.ndarray, orders: list[int]) -> set[i
 
 
 class _Programme:
-    """Linear programme over u (P) and λ (K), all at most 1 in size: the largest sum of λ."""
+    """Linear programme over u (P) and λ (K), all at most 1 in size."""
 
     def __init__(self, rankings: Rankings, size: int, orders: list[int], source: np.ndarray, target: np.ndarray):
         self._rankings, self._size, self._orders = rankings, size, orders
@@ -60,29 +67,51 @@ class _Programme:
         one = np.ones(len(source))
         self._entries = [(np.append(rows, rows), np.append(source, target), np.append(-one, one))]
         self._count = len(source)
+        self._least: dict[int, float] = {}  # bounds of rows other than 0
 
-    def direction(self) -> np.ndarray | None:
-        """Return u at the maximum; None if that is 0. Raises ArithmeticError where the programme cannot be solved."""
+    def directions(self, island: np.ndarray) -> np.ndarray | None:
+        """Return changes u (D, P) with a positive sum of λ; None if there are none.
+
+        The first has the largest sum. The others have half of it, and u as far as possible along random aims; further
+        aims tear at players that changed alike, until none of them parts. No aim moves all players of an island (P,)
+        together. Raises ArithmeticError where the programme cannot be solved.
+        """
+        P, K = self._size, len(self._orders) - 1
+        first = self._solved(np.append(np.zeros(P), np.ones(K)))
+        if (gain := first[P:].sum()) < ZERO:
+            return None
+        self._entries.append((np.full(K, self._count), np.arange(P, P + K), np.full(K, -1.0)))
+        self._least = {self._count: -gain / 2}
+        self._count += 1
+        rng, found, groups = np.random.default_rng(0), [first[:P]], 0
+        aims = min(AIMS, max(FEWEST, 300 // P))
+        for number in itertools.count():
+            alike = np.unique(np.round(found, 5), axis=1, return_inverse=True)[1].reshape(-1)
+            if number > aims and groups == alike.max():
+                break
+            groups, aim = int(alike.max()), rng.normal(size=P)
+            among = np.unique(alike if number >= aims else island, return_inverse=True)[1]
+            aim -= (np.bincount(among, aim) / np.bincount(among))[among]
+            found += [self._solved(np.append(each, np.zeros(K)))[:P] for each in (aim, -aim)]
+        return np.array(found)
+
+    def _solved(self, aim: np.ndarray) -> np.ndarray:
+        """Return u and λ (P + K) that are farthest along `aim`; conditions that are violated on the way are added."""
         from scipy import sparse  # takes a tenth of a second
         from scipy.optimize import linprog
 
         P, K = self._size, len(self._orders) - 1
         for _ in range(ROUNDS):
+            most = np.zeros(self._count)
+            most[list(self._least)] = list(self._least.values())
             row, column, value = (np.concatenate(part) for part in zip(*self._entries, strict=True))
             below = sparse.csr_array((value, (row, column)), (self._count, P + K)) if self._count else None
             bounds = [(-1.0, 1.0)] * P + [(0.0, 1.0)] * K
-            found = linprog(
-                -np.append(np.zeros(P), np.ones(K)),
-                below,
-                np.zeros(self._count) if self._count else None,
-                bounds=bounds,
-            )
+            found = linprog(-aim, below, most if self._count else None, bounds=bounds)
             if found.x is None:
                 raise ArithmeticError(f"the linear programme of the tie terms was not solved: {found.message}")
-            if -found.fun < ZERO:
-                return None
             if not self._add_violated(found.x):
-                return found.x[:P]
+                return found.x
         raise ArithmeticError(f"the linear programme of the tie terms was not solved in {ROUNDS} rounds")
 
     def _add_violated(self, x: np.ndarray) -> bool:

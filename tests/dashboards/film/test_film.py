@@ -58,6 +58,18 @@ def test_a_player_on_the_other_side_takes_its_colour_along():
     assert (np.linalg.norm(found - middle(swapped, 0, 0), axis=1) < 15).sum() > 40
 
 
+@pytest.mark.parametrize("length", [1, 12, 30])
+def test_long_names_fit_at_the_top(length):
+    size = (480, 300)
+    names = ("b" * length, "r" * length)
+    players = [MatchPlayer(f"{name}@8", COLOURS[i], "", "1012 ± 30") for i, name in enumerate(names)]
+    top = np.asarray(Film(cars(), size, players, labels=False).picture(0))[:30]
+    for colour in COLOURS[:2]:
+        found = coloured(top, colour)
+        assert len(found) > 20
+        assert found[:, 1].max() < size[0] - 5
+
+
 def test_the_ring_shrinks_and_cars_throw_shadows(shown):
     def width(step: int) -> int:
         found = coloured(shown.picture(step), (255, 200, 60), 25)

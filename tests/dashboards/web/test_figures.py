@@ -1,9 +1,12 @@
 """Figures as values: Plotly takes every one of them, and they hold what they were given."""
 
+import colorsys
+
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 
+from dashboards.identity import COLOURS
 from dashboards.web import figures
 
 LADDER = [
@@ -35,6 +38,30 @@ def test_more_players_than_colours_have_other_markers():
     rows = [{**LADDER[0], "name": f"p{i}@4", "player": f"p{i}"} for i in range(12)]
     markers = [trace["marker"] for trace in checked(figures.ladder([*rows, LADDER[1]])).values()]
     assert len({(marker["color"], marker["symbol"]) for marker in markers}) == 13
+
+
+def test_players_have_the_colours_of_their_films_in_every_figure():
+    teams = ("blue", "red", "green", "yellow")
+    rows = [{**LADDER[0], "name": f"{team}@4", "player": team, "parent": None} for team in teams]
+    drawn = [
+        checked(figures.ladder(rows, "elo", teams)),
+        checked(figures.ladder([*rows[2:], rows[0]], "elo", teams)),
+        checked(figures.lineage(rows, teams)),
+        checked(figures.curves({team: ((1, 2), (0, 1)) for team in teams}, "reward", players=teams)),
+    ]
+    found = {
+        (name, (trace.get("marker") or trace["line"])["color"]) for traces in drawn for name, trace in traces.items()
+    }
+    assert len(found) == 4
+    filmed = [hue(colour) for colour in COLOURS[:4]]
+    for name, colour in found:
+        apart = [abs(hue([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) - other) for other in filmed]
+        assert teams[int(np.argmin(apart))] == name
+
+
+def hue(colour) -> float:
+    """The hue, 0 to 1, of red, green and blue."""
+    return colorsys.rgb_to_hsv(*(part / 255 for part in colour))[0]
 
 
 def test_where_there_is_one_team_success_is_shown():

@@ -114,7 +114,7 @@ def test_a_switch_is_turned_off_in_every_way(off):
         (("--detach=maybe",), '--detach = "maybe": expected true or false'),
         (("--deterministic=perhaps",), '--deterministic = "perhaps": expected true or false'),
         (("--no-detach=yes",), "--no-detach takes no value"),
-        (("l.toml", "--preset", "nonsense"), "unknown preset 'nonsense'"),
+        (("l.toml", "--preset", "nonsense"), "unknown preset 'nonsense' (presets: quickstart, "),
         (("--preset", "duel", "l.toml"), "give a file or --preset, not both"),
         (("--steps", "0"), "--steps = 0: must be at least 1"),
         (("--steps", "-5"), "--steps = -5: must be at least 1"),

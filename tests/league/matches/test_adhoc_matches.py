@@ -3,13 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import arenas
 from league.commands.play import gate
 from league.config import presets
 from league.config.experiment import Config
+from league.config.schema import ConfigError
 from league.matches.adhoc_matches import pairing
+from league.matches.own_policy import Policy
 from league.queries.query import Open
 from league.runtime.bootstrap import create
 from league.state.league_state import LeagueState
@@ -210,6 +213,25 @@ def test_an_exhibition_of_three_ranks_them_and_records_each_seating_in_a_match_o
         (ranks,) = found.rankings
         score = recording.header.score
         assert [1 + sum(other > own for other in score) for own in score] == list(ranks)
+
+
+def test_an_exhibition_of_three_has_as_many_episodes_as_asked_by_default_too(pucks, capsys):
+    for more, episodes in (((), 2), (("--episodes", "1", "--record", "0"), 1), (("--episodes", "7"), 7)):
+        code, out, err = said(capsys, "play", "tagger", "idle", "runner", *more, "--store", str(pucks))
+        assert (code, err) == (0, "")
+        assert f": {episodes} episode" in out.splitlines()[0]
+        games = [int(line.split(" of ")[1].split()[0]) for line in out.splitlines() if "against the others" in line]
+        assert games == [2 * episodes] * 3  # two others in each episode
+
+
+def test_a_policy_of_this_process_plays_two_others_and_says_where_they_are_missing(pucks):
+    with Store.open(pucks) as store:
+        opened = Open(store, "main")
+        still = Policy.from_callable(lambda seen: np.zeros(2))
+        score = still.play(opened, "tagger", episodes=7)
+        assert (score.games, score.score < 0.5) == (18, True)  # in nine episodes, a multiple of three
+        with pytest.raises(ConfigError, match="league main has 3 teams: name an opponent"):
+            still.play(opened)
 
 
 @pytest.mark.parametrize(

@@ -158,3 +158,12 @@ def test_a_snapshot_that_a_person_let_play_is_kept(place):
         shown = RankedMatch("cup", TAG, ("blue@3", "red@4", "green@4"), {(1, 2, 3): 1}, 0, (0, 0, 0), 9)
         finish(store, matches=[RankedMatch(**{**vars(shown), "purpose": "exhibition"})])
         assert may_go(Open(store, "cup"), 1) == spared - {"blue@3"}
+
+
+def test_explain_names_the_players_of_each_other_team(ran, place):
+    code, out, _ = ran("explain", "blue")
+    assert code == 0
+    assert "blue meets team 1 (red) as it is now" in out
+    assert "blue meets team 2 (green) as it is now" in out
+    with Store.open(place) as store:
+        assert "Whom blue meets in team 1 (red)" in str(page(Open(store)))

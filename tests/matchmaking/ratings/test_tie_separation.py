@@ -3,8 +3,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from matchmaking.ratings.likelihoods.tie_separation import tie_direction
+from matchmaking.ratings.davidson import Likelihood
+from matchmaking.ratings.likelihoods import priors
+from matchmaking.ratings.likelihoods.tie_separation import tie_directions
+from matchmaking.ratings.payoff import rankings_payoff, sum_matches
 from matchmaking.ratings.rankings import Rankings
+from matchmaking.ratings.separation import examined, find_separation
+from tests.league.leagues import match
 
 P = 5
 
@@ -16,8 +21,8 @@ def log(*games: tuple[tuple[int, ...], tuple[int, ...]]) -> Rankings:
     return Rankings.of_events(event, player, rank.astype(float))
 
 
-def direction(rankings: Rankings, size: int) -> np.ndarray | None:
-    return tie_direction(rankings, size, *rankings.pairs(size))
+def directions(rankings: Rankings, size: int) -> np.ndarray | None:
+    return tie_directions(rankings, size, *rankings.pairs(size))
 
 
 def every_condition(games) -> tuple[np.ndarray, list[int]]:
@@ -58,7 +63,7 @@ def test_ties_have_a_bound_exactly_where_all_conditions_together_say_so():
             -np.append(np.zeros(P), np.ones(len(orders))), -conditions, np.zeros(len(conditions)),
             bounds=[(-1, 1)] * P + [(0, 1)] * len(orders),
         ).fun  # fmt: skip
-        found.append(direction(log(*games), P) is not None)
+        found.append(directions(log(*games), P) is not None)
         assert found[-1] == (gain > 1e-7), games
     assert 20 < sum(found) < len(found) - 20
 
@@ -72,4 +77,23 @@ def test_ties_have_a_bound_exactly_where_all_conditions_together_say_so():
     ],
 )
 def test_ties_by_hand(games, free):
-    assert (direction(log(*games), 3) is not None) is free
+    assert (directions(log(*games), 3) is not None) is free
+
+
+def test_where_all_games_were_ties_no_rating_is_known():
+    found = examined(rankings_payoff(("a", "b", "c"), log(((0, 1, 2), (1, 1, 1)), ((0, 1, 2), (1, 1, 1)))))
+    assert (found.draw, found.ratings, found.unknown.tolist()) == (True, ("both",) * 3, [True] * 3)
+
+
+def test_rankings_of_two_tell_what_games_of_two_tell():
+    rng, names, unlike = np.random.default_rng(1), ("a", "b", "c", "d"), 0
+    for _ in range(100):
+        games = [(*rng.choice(4, 2, replace=False).tolist(), int(rng.integers(3))) for _ in range(rng.integers(2, 9))]
+        games = [(a, b, 1 if rng.random() < 0.5 else result) for a, b, result in games]
+        played = [match(names[a], names[b], r == 0, r == 2, r == 1) for a, b, r in games]
+        two = find_separation(Likelihood.of(sum_matches(played, names), priors.none(), False))
+        ranks = {0: (1, 2), 1: (1, 1), 2: (2, 1)}
+        many = examined(rankings_payoff(names, log(*(((a, b), ranks[r]) for a, b, r in games))))
+        assert (many.draw, many.island.tolist()) == (two.draw, two.island.tolist())
+        unlike += (many.ratings, many.unknown.tolist()) != (two.ratings, two.unknown.tolist())
+    assert unlike < 3  # directions of rankings are looked for along random aims

@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 
 from league.commands import cli
-from storage.records import Meeting
+from storage.records import League, Meeting
+from storage.store import Store
 from tests.league.conftest import ENVIRONMENT
 from tests.league.leagues import filled, finish, match, player, snapshot
 
@@ -136,6 +137,20 @@ def test_cross_play_and_one_population_against_another(capsys, cup):
     assert "of one population" in says
 
 
+def test_rows_and_columns_of_unlike_sides_are_those_of_one_side(capsys, tmp_path):
+    blue, red = player("blue", 0, "tank:1:1"), player("red", 1, "drone:1:1")
+    with Store.open(tmp_path / "two", create=True) as store:
+        store.create_league(League("cup", ""))
+        store.add_players([blue, red])
+        put = store.blobs.put
+        store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in (blue, red) for i in (0, 4)])
+        finish(store, matches=[match("blue@4", "red@0", 30, 10), match("blue@0", "red@4", 5, 35)])
+    says = refused(capsys, "payoff", "--store", tmp_path / "two", "--rows", "red*")
+    assert "matches 'red*' in the rows, which are of 1 × tank; rated are: blue@0, blue@4." in says
+    table = json.loads(said(capsys, "payoff", "--store", tmp_path / "two", "--columns", "red*", "--format", "json"))
+    assert (table["rows"], table["columns"]) == (["blue@0", "blue@4"], ["red@0", "red@4"])
+
+
 def test_a_league_without_matches_has_no_table(capsys, tmp_path):
     filled(tmp_path / "new").close()
     assert "No rating match has been played yet" in refused(capsys, "payoff", "--store", tmp_path / "new")
@@ -208,6 +223,24 @@ def test_forgetting_is_of_the_newest_that_has_met_its_own_past(capsys, tmp_path)
     store.close()
     (row,) = json.loads(said(capsys, "forgetting", "--store", tmp_path / "old", "--format", "json"))
     assert (row["snapshot"], row["against"], row["back"], row["score"]) == ("blue@16", "blue@1", 3, 0.75)
+
+
+def test_forgetting_says_where_no_snapshot_can_meet_its_own_past(capsys, tmp_path):
+    from tests.league.leagues import BLUE, RED
+
+    for name, players, says in (
+        ("one", [BLUE], "The arena has one team, so nobody meets anybody"),
+        ("unlike", [BLUE, replace(RED, roster="drone")], "no snapshot meets an older one of its own player"),
+        ("alike", [BLUE, RED], "No player has more than three rated snapshots"),
+    ):
+        with Store.open(tmp_path / name, create=True) as store:
+            store.create_league(League("cup", ""))
+            store.add_players(players)
+            put = store.blobs.put
+            store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in players for i in range(3)])
+            rival = "red@2" if len(players) > 1 else None
+            finish(store, matches=[match("blue@2", rival, 30, 10)])
+        assert says in " ".join(said(capsys, "forgetting", "--store", tmp_path / name).split())
 
 
 def test_explain_tells_distribution_win_rates_and_rule(capsys, cup):

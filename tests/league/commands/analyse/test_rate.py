@@ -210,6 +210,7 @@ def test_bad_input_is_one_line(rate, rows, args, says):
         ("arena,side_a,side_b,wins,draws,wins_b", "log.csv:1: there is no column wins_a (is it 'wins'?)"),
         (f"{HEAD},draws", "log.csv:1: there are 2 columns draws"),
         ("", "log.csv is empty"),
+        ("event,player,rank", "log.csv:1: the columns are those of rankings: give the file after --rankings"),
     ],
 )
 def test_columns_are_looked_at_first(rate, head, says):

@@ -130,6 +130,7 @@ def test_a_mistake_is_one_line(rate, rows, problem):
     [
         ("event,player", "log.csv:1: there is no column rank: the first line names the columns event,player,rank"),
         ("event,player,rang", "there is no column rank (is it 'rang'?)"),
+        ("arena,side_a,side_b,wins_a,draws,wins_b", "the columns are those of a match log: give the file without"),
         ("event,event,player,rank", "log.csv:1: there are 2 columns event"),
         ("", "log.csv is empty: its first line names the columns event,player,rank"),
     ],

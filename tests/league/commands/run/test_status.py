@@ -140,7 +140,7 @@ def test_the_words_of_dead_workers_are_not_repeated(opened, dead):
     text = words(opened)
     assert "training blue 7" in text
     assert "compiling" not in text
-    assert "stopping, 1 workers still finish" in text
+    assert "stopping, 1 worker still finishes" in text
 
 
 def test_the_command_prints_it(opened, tmp_path, capsys, monkeypatch):
