@@ -10,7 +10,7 @@ from typing import Any, Literal
 from dashboards.tables import Column, render
 from league.commands.options import Where, parse, positional
 from league.queries.opponents import explained, mark_present, opponent_columns, team_named
-from league.state.learner_changes import Ancestor, lineage
+from league.state.setting_changes import Ancestor, lineage
 from storage.errors import UnknownName
 
 

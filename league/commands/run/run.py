@@ -26,8 +26,8 @@ from league.scheduling import curriculum
 from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.training_progress import trained_enough
 from league.state.league_state import LeagueState
-from league.state.learner_changes import learner_changes
 from league.state.liveness import leader, process_named
+from league.state.setting_changes import learner_changes, run_changes
 from league.system import devices, exit_codes, provenance
 from storage.database.urls import without_passwords
 from storage.errors import NotAStore
@@ -60,7 +60,7 @@ def execute(request: RunRequest) -> int:
     """
     config, where = request.config, request.options.store
     _refuse_if_running(where, config)
-    changes = _learner_changes(where, config)
+    changes = _setting_changes(where, config)
     with ExitStack() as until_the_end:
         spec = RunSpec.of(where, config)
         preparing = preparation(spec, config, debug="--debug" in sys.argv, keep=not request.options.detach)
@@ -131,8 +131,8 @@ def _refuse_if_running(where: str, config: Config) -> None:
         )
 
 
-def _learner_changes(where: str, config: Config) -> list[str]:
-    """Return one line for each league of this run whose learner's settings differ from those of its last run."""
+def _setting_changes(where: str, config: Config) -> list[str]:
+    """Return lines for each league of this run whose settings differ from those of its last run."""
     try:
         with Store.open(where, blobs=config.storage.blobs) as store:
             kept = {league.name: league.config for league in store.leagues()}
@@ -140,11 +140,14 @@ def _learner_changes(where: str, config: Config) -> list[str]:
         return []
     told = []
     for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
-        if changes := learner_changes(kept.get(each.league, ""), configuration.dumps(each)):
+        before, now = kept.get(each.league, ""), configuration.dumps(each)
+        if changes := learner_changes(before, now):
             shown = ", ".join(changes)
             told.append(
                 f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` shows them later."
             )
+        if changes := run_changes(before, now) if before else []:
+            told.append(f"Goes on with other settings than before: {', '.join(changes)}.")
     return told
 
 

@@ -12,7 +12,7 @@ from league.config.experiment import default
 from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
 from league.runtime.validation import validate
-from league.state.learner_changes import learner_changes
+from league.state.setting_changes import learner_changes
 
 # As commit 7228567 wrote it into each league.toml and store, whatever the class.
 SECTION = """

@@ -1,4 +1,4 @@
-"""Changes of the learner's settings from one run of a league to the next, and from a snapshot to the one after it.
+"""Changes of settings from one run of a league to the next, and of the learner's from a snapshot to the one after it.
 
 Each snapshot keeps the configuration that was in force when it was taken, so the store needs no other record. Loads
 neither an arena nor torch.
@@ -14,6 +14,8 @@ from league.config.schema import UNSET, ConfigError, Key, dotted, is_table, key_
 from league.config.sections import PlayerSettings, named_players
 from storage.records import Snapshot
 
+OF_RUNS = ("seed", "deterministic", "engine", "arena", "training", "roles")
+"""Settings beside the learner's that decide what players learn; players, budgets and workers are told elsewhere."""
 OF_LEARNERS = ("class", "settings", "hidden", "lr")  # settings of a player that its learner has
 
 
@@ -49,6 +51,37 @@ def learner_changes(before: str, now: str, player: str | None = None) -> list[st
     one, other = (_values(text, player) for text in (before, now))
     if one is None or other is None:
         return []
+    return _differences(one, other)
+
+
+def run_changes(before: str, now: str) -> list[str]:
+    """Return how the settings OF_RUNS differ between two configurations as text: `training.worlds 64 -> 128`.
+
+    A configuration that cannot be read, as that of another version, counts as unchanged.
+    """
+    from league.config import experiment
+
+    try:
+        one, other = (dict(_settings_of_runs(experiment.dumps(experiment.loads(text)))) for text in (before, now))
+    except (ValueError, ConfigError, RecursionError):
+        return []
+    return _differences(one, other)
+
+
+def _settings_of_runs(text: str) -> Iterator[tuple[str, Any]]:
+    """Yield the settings OF_RUNS of a configuration with their dotted keys; records of a list by their names."""
+    left: list[tuple[Key, Any]] = [((name,), value) for name, value in tomllib.loads(text).items() if name in OF_RUNS]
+    while left:
+        key, value = left.pop(0)
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            value = {str(each.get("name", number)): each for number, each in enumerate(value)}
+        if isinstance(value, dict):
+            left = [*(((*key, name), each) for name, each in value.items()), *left]
+        else:
+            yield dotted(key), value
+
+
+def _differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     names = [name for name in dict.fromkeys([*one, *other]) if one.get(name) != other.get(name)]
     return [f"{name} {_shown(one, name)} -> {_shown(other, name)}" for name in names]
 

@@ -1,4 +1,4 @@
-"""A learner's settings that change between two runs of a league: told, and found in its snapshots' lineage."""
+"""Settings that change between two runs of a league: told, and a learner's found in its snapshots' lineage."""
 
 import json
 from dataclasses import replace
@@ -7,7 +7,8 @@ import pytest
 
 from league.config import experiment
 from league.config.experiment import PlayerSettings
-from league.state.learner_changes import learner_changes, lineage
+from league.state.setting_changes import learner_changes, lineage, run_changes
+from matchmaking.roles import Role
 from storage.records import Snapshot
 from tests.league.conftest import call, said
 
@@ -45,6 +46,21 @@ def test_settings_of_other_players_are_no_part_of_a_players_lineage():
     assert learner_changes(one, other, "red") == []
 
 
+def test_what_a_run_changes_beside_the_learner_is_told_by_key():
+    one = replace(PLAIN, roles=(Role("main", timeout=1000),))
+    other = replace(
+        PLAIN, seed=5, roles=(Role("main", timeout=2000, win_rate=0.5),), learner=replace(PLAIN.learner, lr=0.5),
+        training=replace(PLAIN.training, worlds=64, opponents=replace(PLAIN.training.opponents, kind="pfsp")),
+        budget=replace(PLAIN.budget, steps=7),
+    )  # fmt: skip
+    assert run_changes(experiment.dumps(one), experiment.dumps(one)) == []
+    assert sorted(run_changes(experiment.dumps(one), experiment.dumps(other))) == [
+        "roles.main.timeout 1000 -> 2000", "roles.main.win_rate none -> 0.5", f"seed {PLAIN.seed} -> 5",
+        'training.opponents.kind "latest" -> "pfsp"', "training.worlds none -> 64",
+    ]  # fmt: skip
+    assert run_changes("training = 3", experiment.dumps(other)) == []
+
+
 def test_the_snapshot_after_a_change_bears_it():
     kept = [snapshot(0, text()), snapshot(4, text(), "blue@0"), snapshot(8, text(lr=0.5), "blue@4"),
             snapshot(16, text(lr=0.5), "blue@8")]  # fmt: skip
@@ -58,9 +74,10 @@ def test_the_snapshot_after_a_change_bears_it():
 def test_a_run_with_another_rate_says_so_and_explain_keeps_record(copied_league, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     more = ("run", "--steps", "2048", "--budget.rating_time", "0s", "--workers.match", "0")
-    done = call(*more, "--learner.lr", "0.002", cwd=tmp_path)
+    done = call(*more, "--learner.lr", "0.002", "--seed", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Learns on with other settings than before: learner.lr 0.001 -> 0.002." in done.stdout
+    assert "Goes on with other settings than before: seed 3 -> 2." in done.stdout
     code, out, _ = said(capsys, "explain", "blue@5", "--format", "json")
     found = json.loads(out)["lineage"]
     assert code == 0
