@@ -17,6 +17,7 @@ StorageError
 # ruff: noqa: N818  (names that read as sentences: "the lease was lost", "not a store")
 
 import errno
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -98,14 +99,25 @@ class Superseded(LeaseLost):
     """A player has continued from the checkpoint that the results start from; nothing was written."""
 
 
+LISTED = 20
+"""Most names that a message lists: a league may have thousands of snapshots."""
+
+
 class UnknownName(StorageError):
-    """The store has no such name; the message lists the known names and suggests the closest one."""
+    """The store has no such name; the message lists known names, LISTED at most, and suggests the closest one."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]):
-        names = sorted(known)
+        names = sorted(known, key=_natural)
         near = get_close_matches(name, names, n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
-        super().__init__(f"There is no {kind} {name!r} here; there is: {', '.join(names) or 'none'}.{hint}")
+        listed = ", ".join(names[:LISTED]) or "none"
+        more = f" and {len(names) - LISTED:,} more" if len(names) > LISTED else ""
+        super().__init__(f"There is no {kind} {name!r} here; there is: {listed}{more}.{hint}")
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts blue@16 before blue@108: numbers within a name by their value."""
+    return [(int(part) if part.isdecimal() else -1, part) for part in re.split(r"([0-9]+)", name)]
 
 
 _TRANSIENT = {

@@ -55,7 +55,7 @@ class LeagueStatus:
     def jobs(self) -> str:
         """The jobs, counted, in a line; those of a process that was killed are not being worked on."""
         words = dict(STATES)
-        if not self.runs and not self.workers:
+        if not self.runs and not self.workers and self.counts["leased"]:
             words["leased"] = "left by a process that is gone, done again by the next 'league run'"
         return ", ".join(f"{n:,} {words[state]}" for state, n in self.counts.items())
 

@@ -68,6 +68,11 @@ def test_work_that_a_killed_process_left_is_not_being_worked_on(opened):
     assert "1 being worked on" in words(opened)
 
 
+def test_a_stopped_league_without_such_work_says_nothing_of_it(opened):
+    assert "gone" not in words(opened)
+    assert "0 being worked on" in words(opened)
+
+
 def test_a_league_is_stopped_once_its_managers_process_is_gone_or_its_lease_is_over(opened, dead):
     opened.store.acquire_leadership("cup", ALIVE, 60)
     assert words(opened).startswith(f"League cup: running, managed by {ALIVE}")
