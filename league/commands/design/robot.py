@@ -7,6 +7,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
 from arenas.arena_settings import EngineName
+from dashboards.system.outputs import PICTURES, require_output
 from dashboards.tables import Column, render
 from league.commands.options import parse, positional, spelt
 from league.config.schema import ConfigError
@@ -56,6 +57,8 @@ def robot(args: list[str]) -> int:
     from arenas.robots.files.loading import robot_of, source_of
 
     target = _target(options)
+    if options.shot is not None:
+        require_output(options.shot, PICTURES)
     settings = _settings(options)
     source = source_of(settings)
     if options.fit:

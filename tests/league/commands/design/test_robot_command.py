@@ -47,6 +47,13 @@ def test_a_model_is_tried_drawn_and_written(capsys, model, tmp_path):
     assert "drives and pose of bot.toml, not of the model" in out
 
 
+def test_a_picture_of_no_kind_is_refused_before_the_robot_is_tried(capsys, model, tmp_path):
+    code, out, err = ran(capsys, "bot.xml", "--shot", tmp_path / "bot.txt")
+    assert (code, out) == (2, "")
+    assert "a picture is a file named *.png, *.jpg, *.jpeg, *.webp, not bot.txt" in err
+    assert not (tmp_path / "bot.toml").exists()
+
+
 def test_a_robot_that_falls_is_written_and_said(capsys, model, tmp_path):
     code, out, _ = ran(capsys, "bot.xml", "--passive", "fl_hip,fl_knee,hl_hip,hl_knee", "-o", "limp.toml")
     assert code == 1
