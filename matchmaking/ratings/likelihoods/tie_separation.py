@@ -23,8 +23,9 @@ from matchmaking.ratings.rankings import Rankings, chunks, tied
 ZERO = 1e-7
 """Largest change, of 1 possible, that counts as none."""
 ROUNDS = 60
-AIMS, FEWEST = 10, 3
-"""Number of random aims, each with its opposite, along which directions are looked for; the least of many players."""
+AIMS, FEWEST, PART = 10, 3, 0.01
+"""Number of random aims, each with its opposite, along which directions are looked for; the least of many players; and
+the part of an aim that stays for players whom earlier aims have parted."""
 
 
 def tie_directions(
@@ -89,9 +90,9 @@ class _Programme:
             alike = np.unique(np.round(found, 5), axis=1, return_inverse=True)[1].reshape(-1)
             if number > aims and groups == alike.max():
                 break
-            groups, aim = int(alike.max()), rng.normal(size=P)
-            among = np.unique(alike if number >= aims else island, return_inverse=True)[1]
-            aim -= (np.bincount(among, aim) / np.bincount(among))[among]
+            groups, aim = int(alike.max()), _within(rng.normal(size=P), island)
+            if number >= aims:  # a part stays for all: where the aim is 0, opposite aims may end at unlike corners
+                aim = _within(aim, alike) + PART * aim
             found += [self._solved(np.append(each, np.zeros(K)))[:P] for each in (aim, -aim)]
         return np.array(found)
 
@@ -144,3 +145,9 @@ class _Programme:
             row = np.repeat(np.arange(self._count, self._count + len(columns)), columns.shape[1])
             self._entries.append((row, columns.ravel(), np.full(columns.size, value)))
         self._count += len(chosen)
+
+
+def _within(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return values (P,) less the mean of those of the same group (P,)."""
+    among = np.unique(group, return_inverse=True)[1]
+    return values - (np.bincount(among, values) / np.bincount(among))[among]

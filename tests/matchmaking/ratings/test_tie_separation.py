@@ -85,6 +85,14 @@ def test_where_all_games_were_ties_no_rating_is_known():
     assert (found.draw, found.ratings, found.unknown.tolist()) == (True, ("both",) * 3, [True] * 3)
 
 
+def test_among_many_players_too_no_rating_is_known_where_all_games_were_ties():
+    rng = np.random.default_rng(1)
+    games = [(tuple(rng.choice(300, 3, replace=False).tolist()), (1, 1, 1)) for _ in range(1200)]
+    found = examined(rankings_payoff(tuple(map(str, range(300))), log(*games)))
+    assert found.unknown.all()
+    assert set(found.ratings) == {"both"}
+
+
 def test_rankings_of_two_tell_what_games_of_two_tell():
     rng, names, unlike = np.random.default_rng(1), ("a", "b", "c", "d"), 0
     for _ in range(100):
