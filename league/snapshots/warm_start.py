@@ -3,11 +3,13 @@
 A frozen policy that comes with the league counts as a league of one player without a critic, and so do a snapshot,
 which `after` names as league/snapshot, and a file that `league export` wrote.
 
-An agent continues from an agent of the same kind of robot, of the nearest league that has one. If that league has
-several, they are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of
+An agent continues from an agent of the same kind of robot, of the nearest league that has one. Where sides are unlike,
+agents that played another side are used only if no league has one that played its own. If the league has several, they
+are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of
 observation or action is refused, because that is a mistake in the settings.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from agents.policy.skill_arrays import PREFIX, strategy_of
-from arenas.rosters import bare, roster_agents
+from arenas.rosters import bare, roster_agents, roster_side
 from league.config import experiment, toml
 from league.config.experiment import Config
 from league.config.sections import POLICY_FILE, Rating
@@ -65,10 +67,11 @@ def warm_starts(
     another arena has another state. Where networks encode `entities`, observations may have other sizes: if they differ
     in more than numbers of entities, `start` says so. Raises IncompatiblePolicy, one line with both sizes.
     """
-    taken: dict[str, int] = {}  # kind -> number of its agents that have a source already
+    taken: Counter[tuple[Source, ...]] = Counter()  # how many agents have one of these sources already
     found = {}
     for player in players:
-        actors = tuple(_source(agent, before, taken, entities) for agent in roster_agents(player.roster))
+        side = roster_side(player.roster)
+        actors = tuple(_source(agent, side, before, taken, entities) for agent in roster_agents(player.roster))
         critic = _critic(player, actors, before)
         if critic and not _fits(critic_input, player, players, *_of(before, critic)):
             critic = None
@@ -77,27 +80,33 @@ def warm_starts(
 
 
 def _source(
-    agent: str, before: Sequence[Sequence[Player]], taken: dict[str, int], entities: bool
-) -> Source | None:  # fmt: skip
+    agent: str, side: str, before: Sequence[Sequence[Player]], taken: Counter[tuple[Source, ...]], entities: bool
+) -> Source | None:
     kind = _kind(agent)
-    for league in before:
-        able = [
-            (Source(player.league, player.name, i), other)
-            for player in sorted(league, key=lambda p: (p.role != "main", p.team, p.name))
-            for i, other in enumerate(roster_agents(player.roster))
-            if _kind(other) == kind
-        ]
-        if able:
-            source, other = able[taken.get(kind, 0) % len(able)]
-            taken[kind] = taken.get(kind, 0) + 1
-            if other != agent and not (entities and _acts(other) == _acts(agent)):
-                raise IncompatiblePolicy(
-                    f"{kind} {_sizes(agent)} here, and {_sizes(other)} in {source.league}: give both the same"
-                    " observation (arena.buffer, say, in each stage), encode what differs in number as sets"
-                    " (learner.architecture.entities), or its players no forerunner"
-                )
-            return source
+    for sides in ({side, ""}, None):
+        for league in before:
+            able = {
+                Source(player.league, player.name, i): other
+                for player in sorted(league, key=lambda p: (p.role != "main", p.team, p.name))
+                for i, other in enumerate(roster_agents(player.roster))
+                if _kind(other) == kind and (not side or sides is None or roster_side(player.roster) in sides)
+            }
+            if able:
+                known = tuple(able)
+                source = known[taken[known] % len(known)]
+                taken[known] += 1
+                _require_sizes(agent, able[source], source, entities)
+                return source
     return None
+
+
+def _require_sizes(agent: str, other: str, source: Source, entities: bool) -> None:
+    if other != agent and not (entities and _acts(other) == _acts(agent)):
+        raise IncompatiblePolicy(
+            f"{_kind(agent)} {_sizes(agent)} here, and {_sizes(other)} in {source.league}: give both the same"
+            " observation (arena.buffer, say, in each stage), encode what differs in number as sets"
+            " (learner.architecture.entities), or its players no forerunner"
+        )
 
 
 def _critic(
