@@ -99,7 +99,7 @@ class Arena(Game):
             (qpos,) = keep_apart_from_fusion(physics.qpos)
             over = decided | broken | news.terminated | news.truncated
             terms = news.rewards, news.shapings, news.events
-            frames = Frames(qpos, physics.time, self.markers(physics, game), *terms, over)
+            frames = Frames(qpos, physics.time, self.drawn_markers(physics, game), *terms, over)
             return (physics, game, merge_verdicts(verdict, news), void | broken, at_fault, causes), frames
 
         first = begin_decision(state.verdict)

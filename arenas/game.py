@@ -60,7 +60,8 @@ class Game(ABC):
         `robots` are the teams' rosters, one to eight. `rules` holds everything except the model that the outcome of
         a game depends on. `derived` names the fields of Physics beyond qpos and qvel that the hooks read.
         `marker_kinds` declares what is drawn with the robots: name -> "circle" (x, y, radius) on the ground, "segment"
-        (x, y, z of both ends), wire "sphere" or solid "ball" (x, y, z, radius). Raises ArenaError for invalid rosters.
+        (x, y, z of both ends), wire "sphere" or solid "ball" (x, y, z, radius). Forces on bodies are drawn without it.
+        Raises ArenaError for invalid rosters.
         """
         check_rosters(robots)
         self.name = name
@@ -167,6 +168,16 @@ class Game(ABC):
     def markers(self, physics: Physics, game: Any) -> dict[str, Array]:
         """Return the current markers, by the names of `marker_kinds`."""
         return {}
+
+    @property
+    def drawn_kinds(self) -> dict[str, str]:
+        """Kinds of all markers in recordings: those of the game, and a "force" for each body that agents push."""
+        return {**self.marker_kinds, **dict.fromkeys(self._pushes.names, "force")}
+
+    @final
+    def drawn_markers(self, physics: Physics, game: Any) -> dict[str, Array]:
+        """Return the current markers, by the names of `drawn_kinds`."""
+        return {**self.markers(physics, game), **self._pushes.markers(physics.push)}
 
     def privileged(self, physics: Physics, game: Any, actions: dict[str, Array]) -> Array:
         """Return the whole state as one vector (privileged_size,), for critics that may see more than robots do.

@@ -11,6 +11,7 @@ from dashboards.errors import ViewerError
 from dashboards.identity import MatchPlayer, anonymous_players, team_colour
 from storage.recordings.recording import Recording
 
+FORCE_LENGTH = 1.5  # of a segment for the largest force, in sizes of the largest robot
 FIRST_COLLISION_GROUP = 3  # MuJoCo's own viewer hides geom groups 3 to 5 too
 EYE, TARGET = np.array([0.4, -1.6, 1.25]), np.array([0.0, -0.1, 0.0])  # of the viewer's camera, in radii of the scene
 
@@ -90,6 +91,24 @@ def distances(recording: Recording, scene: Replay) -> dict[str, np.ndarray]:
     for name, body in loose_bodies(scene).items():
         gap = [np.linalg.norm(each - scene.xpos[:, [body]], axis=-1).min(axis=1) for each in at]
         found[name] = np.stack(gap, axis=1)
+    return found
+
+
+def drawn_markers(recording: Recording, scene: Replay) -> dict[str, tuple[str, np.ndarray]]:
+    """Return what is drawn beside bodies: name -> kind and values (T, m), as `Arena.marker_kinds` describes them.
+
+    A force is a segment from its body along the force, FORCE_LENGTH sizes of the largest robot long for the largest
+    force.
+    """
+    length = FORCE_LENGTH * max((robot.size for robot in scene.robots), default=scene.radius)
+    found = {}
+    for name, kind in recording.header.marker_kinds.items():
+        values = recording.markers[name]
+        if kind == "force":
+            begins = scene.xpos[:, scene.model.body(name).id]
+            share = values[:, :3] / np.maximum(values[:, 3:], 1e-9)
+            kind, values = "segment", np.concatenate([begins, begins + length * share], axis=1)
+        found[name] = kind, values
     return found
 
 

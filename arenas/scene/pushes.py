@@ -25,6 +25,9 @@ class Pushes:
             agent: np.array([self.bodies.index(ids[name]) for name in push.bodies], int)
             for agent, push in self._of.items()
         }
+        self.names: tuple[str, ...] = tuple(model.body(body).name for body in self.bodies)
+        most = self.total({agent: jnp.ones(robots[agent].action_size) for agent in self._of})
+        self._most = None if most is None else jnp.linalg.norm(most[:, :3], axis=1)
 
     def total(self, actions: Mapping[str, Array]) -> Array | None:
         """Return the forces and torques (bodies, 6) in N and N·m, in the world frame; None if nobody pushes."""
@@ -34,6 +37,16 @@ class Pushes:
         for agent, push in self._of.items():
             total = total.at[self._rows[agent]].add(push.wrench(actions[agent]))
         return total
+
+    def markers(self, push: Array | None) -> dict[str, Array]:
+        """Return by the names of the pushed bodies their forces in N, and those of actions of 1: x, y, z, most.
+
+        `push` is what `total` returned.
+        """
+        if push is None or self._most is None:
+            return {}
+        values = jnp.concatenate([push[:, :3], self._most[:, None]], axis=1)
+        return {name: values[row] for row, name in enumerate(self.names)}
 
 
 def _body(model: mujoco.MjModel, name: str) -> int:

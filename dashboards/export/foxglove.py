@@ -12,7 +12,7 @@ The file is a view, larger than the recording and less exact: only the recording
 
 import functools
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -22,7 +22,7 @@ from mcap.writer import Writer
 
 from dashboards.errors import ViewerError
 from dashboards.identity import MatchPlayer, named_events
-from dashboards.replay import Replay, replay, rgba, rotate, visible_geoms
+from dashboards.replay import Replay, drawn_markers, replay, rgba, rotate, visible_geoms
 from storage.blobs.files import new_file
 from storage.recordings.mcap_messages import message_classes
 from storage.recordings.recording import Recording, step_messages
@@ -41,13 +41,14 @@ def write_foxglove(recording: Recording, path: Path, players: Sequence[MatchPlay
         _describe(writer, scene)
         send("/scene", kinds["SceneUpdate"](entities=list(_entities(kinds, scene, recording))), 0)
         events, numbers = sorted(named_events(recording, scene.players)), step_messages(recording)
+        markers = drawn_markers(recording, scene)
         for step in range(recording.steps):
             send.bytes("/match/step", message_classes()["Step"], numbers[step], step)
             moved = kinds["FrameTransforms"](transforms=list(_transforms(kinds, scene, send.stamp(step), step)))
             send("/tf", moved, step)
-            changed = step == 0 or any((each[step] != each[step - 1]).any() for each in recording.markers.values())
-            if changed and recording.markers:
-                send("/markers", kinds["SceneUpdate"](entities=list(_marks(kinds, recording, step))), step)
+            changed = step == 0 or any((each[step] != each[step - 1]).any() for _, each in markers.values())
+            if changed and markers:
+                send("/markers", kinds["SceneUpdate"](entities=list(_marks(kinds, markers, step))), step)
             while events and events[0][0] == step:
                 text = events.pop(0)[1]
                 send("/events", kinds["Log"](timestamp=send.stamp(step), level=2, message=text, name="match"), step)
@@ -161,12 +162,12 @@ def _add(kinds: dict[str, Any], entity: Any, model: Any, kind: str, geom: int, e
             )  # fmt: skip
 
 
-def _marks(kinds: dict[str, Any], recording: Recording, step: int) -> Iterator[Any]:
+def _marks(kinds: dict[str, Any], markers: Mapping[str, tuple[str, np.ndarray]], step: int) -> Iterator[Any]:
     """Yield the markers of a step; each replaces the marker of the same name."""
     from dashboards.viewer.scene import circles
 
-    for name, kind in recording.header.marker_kinds.items():
-        values = recording.markers[name][step]
+    for name, (kind, every) in markers.items():
+        values = every[step]
         entity = kinds["SceneEntity"](frame_id=WORLD, id=f"marker {name}")
         colour = kinds["Color"](r=RING[0], g=RING[1], b=RING[2], a=RING[3] if kind in ("circle", "segment") else 0.4)
         if kind in ("circle", "segment"):

@@ -14,7 +14,7 @@ import numpy as np
 from dashboards.errors import ViewerError
 from dashboards.film.raycaster import Camera, Raycaster
 from dashboards.identity import MatchPlayer, named_events, shape
-from dashboards.replay import Replay, replay
+from dashboards.replay import Replay, drawn_markers, replay
 from dashboards.system.outputs import FILMS, PICTURES, new_output, require_kind
 from dashboards.viewer.panels import TRAIL, grid_spacing
 from dashboards.viewer.scene import MARKER_COLOURS, WHITE, circles
@@ -53,6 +53,7 @@ class Film:
         """
         self.recording, self.size, self.labels = recording, size, labels
         self.scene: Replay = replay(recording, players)
+        self._markers = drawn_markers(recording, self.scene)
         centre, radius = stage or (_stage(self.scene) if close else (np.zeros(3), self.scene.radius))
         camera = Camera.framing(centre, radius, (SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]))
         self.camera, self._raycaster = camera, Raycaster(self.scene, camera, grid_spacing(self.scene.radius))
@@ -75,8 +76,8 @@ class Film:
     def _lines(self, pen: Any, step: int) -> None:
         """Draw markers, the shapes of the sides and the recent paths of robots as lines on the ground."""
         recording, scene, thin = self.recording, self.scene, 0.004 * self.scene.radius
-        for name, kind in recording.header.marker_kinds.items():
-            values = recording.markers[name][step : step + 1]
+        for kind, every in self._markers.values():
+            values = every[step : step + 1]
             if kind == "circle":
                 self._line(pen, circles(values, thin)[0], MARKER_COLOURS[kind], 3)
             elif kind == "segment":

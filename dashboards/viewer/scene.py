@@ -10,7 +10,7 @@ import numpy as np
 
 from dashboards.errors import ViewerError
 from dashboards.identity import shape
-from dashboards.replay import Replay, rgba, rotate, visible_geoms
+from dashboards.replay import Replay, drawn_markers, rgba, rotate, visible_geoms
 from storage.recordings.recording import Recording
 
 MARKER_COLOURS = {"circle": (255, 200, 60), "segment": (255, 70, 60), "sphere": (120, 200, 255), "ball": (255, 200, 60)}
@@ -27,7 +27,7 @@ def draw_scene(rr: Any, stream: Any, recording: Recording, scene: Replay) -> Non
     """Log everything below /world. Raises ViewerError for a marker of an unknown kind."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _draw_bodies(rr, stream, recording, scene)
-    _draw_markers(rr, stream, recording, thickness=0.006 * scene.radius)
+    _draw_markers(rr, stream, recording, scene, thickness=0.006 * scene.radius)
     _draw_players(rr, stream, recording, scene)
 
 
@@ -126,12 +126,11 @@ def _mesh(rr: Any, model: Any, geom: int) -> Any:
     )
 
 
-def _draw_markers(rr: Any, stream: Any, recording: Recording, thickness: float) -> None:
-    for name, kind in recording.header.marker_kinds.items():
+def _draw_markers(rr: Any, stream: Any, recording: Recording, scene: Replay, thickness: float) -> None:
+    for name, (kind, values) in drawn_markers(recording, scene).items():
         if kind not in MARKER_COLOURS:
             known = ", ".join(map(repr, MARKER_COLOURS))
             raise ViewerError(f"marker {name!r} is a {kind!r}; the viewer draws: {known}")
-        values = recording.markers[name]
         seen = np.round(values / (0.1 * thickness)) if kind == "circle" else values  # line strips are slow to write
         changed = np.flatnonzero(np.r_[True, np.any(np.diff(seen, axis=0) != 0, axis=1)])
         look, shapes = _marker(rr, kind, values[changed], thickness)

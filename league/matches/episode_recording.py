@@ -32,7 +32,7 @@ def episode(
         league, 0, seed, world, ArenaKey(arena.name, arena.config_hash, arena.engine.name),
         tuple(s.name for s in sides), tuple(s.digest for s in sides), tuple(teams),
         tuple(tuple(a.name for a in team.agents) for team in arena.teams),
-        tuple(float(s) for s in games.score[world]), outcome, arena.timing.control_interval, arena.marker_kinds,
+        tuple(float(s) for s in games.score[world]), outcome, arena.timing.control_interval, arena.drawn_kinds,
         {**versions(), **code()},
     )  # fmt: skip
     rewards = np.zeros((decisions * hold, len(teams)))

@@ -77,6 +77,15 @@ def test_a_push_moves_the_walker_and_is_bounded(hopper):
     assert (jnp.abs(up - still) < jnp.abs(ahead - still)).all()
 
 
+def test_forces_are_told_to_recordings_beside_the_goal(hopper):
+    assert hopper.drawn_kinds == {"goal": "circle", "blue/0/torso": "force", "blue/0/foot": "force"}
+    state = hopper.reset(KEYS[0])
+    acts = {"blue/0": jnp.zeros(3), "nature/0": jnp.array([0.5, 0.0, -4.0, 1.0])}
+    _, frames = jax.jit(hopper.step_with_frames)(state, acts)
+    np.testing.assert_allclose(frames.markers["blue/0/torso"][-1], [10.0, 0.0, 0.0, 20.0 * 2**0.5], rtol=1e-6)
+    np.testing.assert_allclose(frames.markers["blue/0/foot"][-1], [-20.0, 0.0, 20.0, 20.0 * 2**0.5], rtol=1e-6)
+
+
 def test_its_limit_is_the_larger_of_newtons_and_a_share_of_the_weight(hopper):
     assert hopper.limit == 20.0
     heavy = replace(HOPPER, rules=replace(SHORT, weight_share=0.2))

@@ -92,6 +92,16 @@ def test_forces_of_all_agents_on_a_body_add_up():
     np.testing.assert_array_equal(total, [[1.0, 3.0, -2.0, 0.0, 0.0, 0.0]])  # the second is clipped to -1
 
 
+def test_forces_are_drawn_with_the_largest_that_there_may_be():
+    model = mujoco.MjModel.from_xml_string(XML)
+    pushes = Pushes(model, {"a": disturbance(["ball"], 2.0, "xz"), "b": disturbance(["ball"], 1.0, "y")})
+    drawn = pushes.markers(pushes.total({"a": jnp.array([0.5, -4.0]), "b": jnp.array([1.0])}))
+    assert list(drawn) == ["ball"]
+    np.testing.assert_allclose(drawn["ball"], [1.0, 1.0, -2.0, 3.0])
+    nobody = Pushes(model, {})
+    assert nobody.markers(nobody.total({})) == {}
+
+
 def test_a_body_that_is_not_there_is_told_in_one_line():
     with pytest.raises(ArenaError, match=r"^no body 'bal' to push: did you mean ball\? \(bodies: ball, .*\)$"):
         Pushes(mujoco.MjModel.from_xml_string(XML), {"a": disturbance(["bal"], 1.0)})
