@@ -105,11 +105,24 @@ def drawn_markers(recording: Recording, scene: Replay) -> dict[str, tuple[str, n
     for name, kind in recording.header.marker_kinds.items():
         values = recording.markers[name]
         if kind == "force":
-            begins = scene.xpos[:, scene.model.body(name).id]
-            share = values[:, :3] / np.maximum(values[:, 3:], 1e-9)
-            kind, values = "segment", np.concatenate([begins, begins + length * share], axis=1)
+            kind, values = "segment", _force(scene, name, values, length)
         found[name] = kind, values
     return found
+
+
+def _force(scene: Replay, name: str, values: np.ndarray, length: float) -> np.ndarray:
+    """Return segments (T, 6) from a body along forces and the largest possible one, values (T, 4).
+
+    A force may be larger than that of actions of 1, where it does not grow with them. Raises ViewerError for a body
+    that is not there.
+    """
+    body = _mujoco().mj_name2id(scene.model, _mujoco().mjtObj.mjOBJ_BODY, name)
+    if body < 0 or values.shape[1] != 4:
+        raise ViewerError(f"the recording's force on {name!r} has {values.shape[1]} numbers of 4, or no such body")
+    force = np.nan_to_num(values[:, :3])
+    most = max(float(np.linalg.norm(force, axis=1).max()), float(np.nan_to_num(values[:, 3]).max()), 1e-9)
+    begins = scene.xpos[:, body]
+    return np.concatenate([begins, begins + length * force / most], axis=1)
 
 
 def loose_bodies(scene: Replay) -> dict[str, int]:

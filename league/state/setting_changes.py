@@ -1,7 +1,7 @@
 """Changes of settings from one run of a league to the next, and of the learner's from a snapshot to the one after it.
 
 Each snapshot keeps the configuration that was in force when it was taken, so the store needs no other record. Loads
-neither an arena nor torch.
+neither an arena nor torch; `run_changes` loads the arenas' settings.
 """
 
 import tomllib
@@ -61,6 +61,8 @@ def run_changes(before: str, now: str) -> list[str]:
     """
     from league.config import experiment
 
+    if not before:
+        return []
     try:
         one, other = (dict(_settings_of_runs(experiment.dumps(experiment.loads(text)))) for text in (before, now))
     except (ValueError, ConfigError, RecursionError):

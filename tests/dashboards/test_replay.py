@@ -1,10 +1,11 @@
-"""What is drawn beside the bodies of a recorded match."""
+"""Markers of a recorded match, as they are drawn beside its bodies."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dashboards.errors import ViewerError
 from dashboards.replay import FORCE_LENGTH, drawn_markers, replay
 from tests.dashboards.cars import STEPS, cars
 
@@ -22,6 +23,27 @@ def test_a_force_is_a_segment_from_its_body_along_it():
     np.testing.assert_allclose(segment[:, 3:] - at, np.tile([0, 0.5 * FORCE_LENGTH * largest, 0], (STEPS, 1)))
     _, none = drawn_markers(shown, scene)["blue/0/chassis"]
     np.testing.assert_array_equal(none[:, :3], none[:, 3:])
+
+
+@pytest.mark.parametrize(("body", "width"), [("red/0/wing", 4), ("red/0/chassis", 2)])
+def test_a_force_that_fits_nothing_is_refused_in_one_line(body, width):
+    match = cars()
+    shown = replace(
+        match, header=replace(match.header, marker_kinds={body: "force"}), markers={body: np.zeros((STEPS, width))}
+    )
+    with pytest.raises(ViewerError, match=rf"force on '{body}' has {width} numbers"):
+        drawn_markers(shown, replay(shown))
+
+
+def test_a_force_above_its_limit_or_not_a_number_stays_in_the_picture():
+    match, body = cars(), "red/0/chassis"
+    told = np.tile([0.0, 8.0, 0.0, 2.0], (STEPS, 1))
+    told[3] = np.nan
+    shown = replace(match, header=replace(match.header, marker_kinds={body: "force"}), markers={body: told})
+    scene = replay(shown)
+    _, segment = drawn_markers(shown, scene)[body]
+    long = np.linalg.norm(segment[:, 3:] - segment[:, :3], axis=1)
+    assert long == pytest.approx(np.where(np.arange(STEPS) == 3, 0, FORCE_LENGTH * max(r.size for r in scene.robots)))
 
 
 def test_other_markers_are_drawn_as_they_were_told():

@@ -64,6 +64,18 @@ def filled(folder: Path, *matches: Match) -> Store:
     return store
 
 
+def unlike_sides(folder: Path, matches: Sequence[Match]) -> tuple[Player, Player]:
+    """Fill a new store with a league of a tank against a drone: snapshots 0 and 4 of both, and these matches."""
+    players = player("blue", 0, "tank:1:1"), player("red", 1, "drone:1:1")
+    with Store.open(folder, create=True) as store:
+        store.create_league(League("cup", ""))
+        store.add_players(players)
+        put = store.blobs.put
+        store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in players for i in (0, 4)])
+        finish(store, matches=matches)
+    return players
+
+
 def finish(store: Store, key: str = "", **results) -> None:
     """Put results into the store as a worker would."""
     from storage.records import Job

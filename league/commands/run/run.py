@@ -146,7 +146,7 @@ def _setting_changes(where: str, config: Config) -> list[str]:
             told.append(
                 f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` shows them later."
             )
-        if changes := run_changes(before, now) if before else []:
+        if changes := run_changes(before, now):
             told.append(f"Goes on with other settings than before: {', '.join(changes)}.")
     return told
 

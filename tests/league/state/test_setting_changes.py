@@ -58,6 +58,7 @@ def test_what_a_run_changes_beside_the_learner_is_told_by_key():
         "roles.main.timeout 1000 -> 2000", "roles.main.win_rate none -> 0.5", f"seed {PLAIN.seed} -> 5",
         'training.opponents.kind "latest" -> "pfsp"', "training.worlds none -> 64",
     ]  # fmt: skip
+    assert run_changes("", experiment.dumps(other)) == []  # a league that begins
     assert run_changes("training = 3", experiment.dumps(other)) == []
 
 

@@ -12,7 +12,7 @@ from league.commands import cli
 from storage.records import League, Meeting
 from storage.store import Store
 from tests.league.conftest import ENVIRONMENT
-from tests.league.leagues import filled, finish, match, player, snapshot
+from tests.league.leagues import filled, finish, match, player, snapshot, unlike_sides
 
 RPS = "rock,paper,scissors\n0,-1,1\n1,0,-1\n-1,1,0\n"
 
@@ -138,13 +138,7 @@ def test_cross_play_and_one_population_against_another(capsys, cup):
 
 
 def test_rows_and_columns_of_unlike_sides_are_those_of_one_side(capsys, tmp_path):
-    blue, red = player("blue", 0, "tank:1:1"), player("red", 1, "drone:1:1")
-    with Store.open(tmp_path / "two", create=True) as store:
-        store.create_league(League("cup", ""))
-        store.add_players([blue, red])
-        put = store.blobs.put
-        store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in (blue, red) for i in (0, 4)])
-        finish(store, matches=[match("blue@4", "red@0", 30, 10), match("blue@0", "red@4", 5, 35)])
+    unlike_sides(tmp_path / "two", [match("blue@4", "red@0", 30, 10), match("blue@0", "red@4", 5, 35)])
     says = refused(capsys, "payoff", "--store", tmp_path / "two", "--rows", "red*")
     assert "matches 'red*' in the rows, which are of 1 × tank; rated are: blue@0, blue@4." in says
     table = json.loads(said(capsys, "payoff", "--store", tmp_path / "two", "--columns", "red*", "--format", "json"))

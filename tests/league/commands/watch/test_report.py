@@ -13,7 +13,7 @@ from league.queries.page import league_page
 from league.queries.query import Open
 from storage.records import CurvePoint, Job, League, Phase
 from storage.store import Store
-from tests.league.leagues import C, filled, finish, match, player, snapshot
+from tests.league.leagues import C, filled, finish, match, player, snapshot, unlike_sides
 from tests.markup import Markup
 
 MATCHES = (
@@ -129,13 +129,8 @@ def test_a_league_in_which_nothing_has_happened_has_a_page_too(tmp_path, monkeyp
 
 
 def test_unlike_sides_have_a_ladder_each(tmp_path, monkeypatch):
-    blue, red = player("blue", 0, "tank:1:1"), player("red", 1, "drone:1:1")
-    with Store.open(tmp_path / "league-data", create=True) as store:
-        store.create_league(League("cup", ""))
-        store.add_players([blue, red])
-        put = store.blobs.put
-        store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in (blue, red) for i in (0, 4)])
-        finish(store, matches=[match(f"blue@{i}", f"red@{j}", 30 + 3 * i - 2 * j, 34) for i in (0, 4) for j in (0, 4)])
+    played = [match(f"blue@{i}", f"red@{j}", 30 + 3 * i - 2 * j, 34) for i in (0, 4) for j in (0, 4)]
+    unlike_sides(tmp_path / "league-data", played)
     page = reported(tmp_path, monkeypatch)
     names = [{row[1] for row in page.tables[f"Ladder of 1 × {kind}, best first"][1:]} for kind in ("tank", "drone")]
     assert names == [{"blue@0", "blue@4"}, {"red@0", "red@4"}]

@@ -11,7 +11,7 @@ from league.queries.page.league_page import sections
 from league.queries.query import Open
 from storage.records import CurvePoint, Job, League
 from storage.store import Store
-from tests.league.leagues import filled, finish, match, player, snapshot
+from tests.league.leagues import filled, finish, match, snapshot, unlike_sides
 
 FILM = FilmBlock("a film", "film/1.webm")
 RATED = (
@@ -126,13 +126,9 @@ def test_a_league_that_runs_without_a_working_worker_is_told(place):
 
 
 def test_unlike_sides_have_a_leader_each_and_one_team_its_success(tmp_path):
-    blue, red = player("blue", 0, "tank:1:1"), player("red", 1, "drone:1:1")
-    with Store.open(tmp_path / "two", create=True) as store:
-        store.create_league(League("cup", ""))
-        store.add_players([blue, red])
-        put = store.blobs.put
-        store.add_snapshots([snapshot(p, i, put(f"{p.name}{i}".encode())) for p in (blue, red) for i in (0, 4)])
-        finish(store, matches=[match(f"blue@{i}", f"red@{j}", 30 + 3 * i - 2 * j, 34) for i in (0, 4) for j in (0, 4)])
+    played = [match(f"blue@{i}", f"red@{j}", 30 + 3 * i - 2 * j, 34) for i in (0, 4) for j in (0, 4)]
+    blue, red = unlike_sides(tmp_path / "two", played)
+    with Store.open(tmp_path / "two") as store:
         leads, ratings = cards(store)[0], Open(store).ratings()
         first = {
             p.name: ratings.loc[(ratings.player == p.name) & (ratings["rank"] == 1), "name"].item() for p in (blue, red)
