@@ -105,10 +105,21 @@ def _guarded(action: Callable[[], int], debug: bool) -> int:
     except output_streams.ReaderLeft:
         return 0
     except Exception as error:
+        if _is_interrupt(error):
+            return 130
         if debug:
             raise
         print(f"league: {one_line(error)}", file=sys.stderr)
         return exit_codes.of(error) if is_expected(error) else exit_codes.NO
+
+
+def _is_interrupt(error: Exception) -> bool:
+    """Return whether Ctrl-C stopped the engine's steps in a program that was not made `interruptible`."""
+    if type(error).__name__ != "JaxRuntimeError":  # most commands never load JAX
+        return False
+    from arenas.physics.interrupts import is_interrupt
+
+    return is_interrupt(error)
 
 
 def _code(action: Callable[[], int]) -> int:

@@ -12,6 +12,7 @@ from arenas.arena_settings import EngineOptions
 from arenas.contract.environments.opponent import Opponent
 from arenas.contract.environments.team_programs import Reset, Step, TeamRows, make_reset, make_step
 from arenas.errors import ArenaError
+from arenas.physics.interrupts import interruptible
 
 
 class SharedArena:
@@ -23,9 +24,9 @@ class SharedArena:
         self._programs: dict[object, Any] = {}
 
     def program(self, name: object, make: Callable[[], Any]) -> Any:
-        """Return the program of this name, made once."""
+        """Return the program of this name, made once. It raises KeyboardInterrupt if Ctrl-C stops the engine's steps."""
         if name not in self._programs:
-            self._programs[name] = make()
+            self._programs[name] = interruptible(make())
         return self._programs[name]
 
     def world(self, method: str) -> Any:
