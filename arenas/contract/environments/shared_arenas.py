@@ -24,7 +24,7 @@ class SharedArena:
         self._programs: dict[object, Any] = {}
 
     def program(self, name: object, make: Callable[[], Any]) -> Any:
-        """Return the program of this name, made once. It raises KeyboardInterrupt if Ctrl-C stops the engine's steps."""
+        """Return the program of this name, made once. It raises KeyboardInterrupt if Ctrl-C stops the engine."""
         if name not in self._programs:
             self._programs[name] = interruptible(make())
         return self._programs[name]
