@@ -7,7 +7,8 @@ from typing import ParamSpec, TypeVar
 
 import jax
 
-Args, Result = ParamSpec("Args"), TypeVar("Result")
+Args = ParamSpec("Args")
+Result = TypeVar("Result")
 
 
 @contextmanager
