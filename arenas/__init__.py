@@ -63,8 +63,8 @@ def settings(name: str) -> "Settings":
         each = ", ".join(f"{name}:{s.name}" for s in _module(name).ARENAS)
         raise ArenaError(f"{name} is a file: name an arena in it: {each}")
     near = difflib.get_close_matches(own, found, 1)
-    hint = f"did you mean {near[0]}? " if near else ""
-    raise ArenaError(f"unknown arena {name!r}: {hint}(arenas: {', '.join(sorted(found))}; your own: file.py:name)")
+    hint = f": did you mean {near[0]}?" if near else ""
+    raise ArenaError(f"unknown arena {name!r}{hint} (arenas: {', '.join(sorted(found))}; your own: file.py:name)")
 
 
 def load(name: str, **options: Unpack["EngineOptions"]) -> "Arena":

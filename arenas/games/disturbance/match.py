@@ -172,9 +172,11 @@ class Disturbance(RobotWalk):
         )
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
-        """Return the walk's scripts, and `headwind`, a constant force against the walk with the factors in the
-        middle.
+        """Return the walk's scripts, and where nature pushes `headwind`, a constant force against the walk with the
+        factors in the middle.
         """
+        if not self._pushed:
+            return super().game_scripts()
         wind = jnp.tile(jnp.array([-1.0 if axis == "x" else 0.0 for axis in self.axes]), self._pushed)
         still = jnp.zeros(len(self.bounds))
         nature: Mapping[str, Script] = {"disturbance": lambda seen, key: wind, "designer": lambda seen, key: still}

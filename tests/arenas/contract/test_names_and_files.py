@@ -31,7 +31,7 @@ def test_settings_are_read_without_jax_and_mujoco():
 def test_an_unknown_name_is_told_what_exists_and_what_is_near():
     with pytest.raises(ArenaError, match=r"^unknown arena 'sumo-2v': did you mean sumo-2v2\? \(arenas: .*sumo-1v1"):
         arenas.load("sumo-2v")
-    with pytest.raises(ArenaError, match=r"^unknown arena 'chess': \(arenas: .*your own: file.py:name\)$"):
+    with pytest.raises(ArenaError, match=r"^unknown arena 'chess' \(arenas: .*your own: file.py:name\)$"):
         arenas.settings("chess")
 
 

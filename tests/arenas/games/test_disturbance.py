@@ -103,6 +103,11 @@ def test_nature_gets_the_opposite_and_pays_for_its_force(hopper):
     assert np.abs(verdict.rewards["tracking"]).max() > 0
 
 
+def test_only_a_nature_that_pushes_has_the_script_headwind(hopper, both, hills):
+    has = [arena.playable_scripts(arena.teams[1]) for arena in (hopper, both, hills)]
+    assert ["headwind" in scripts for scripts in has] == [True, True, False]  # hills: a designer alone
+
+
 def test_a_fall_or_the_end_of_the_time_is_nature_s(hopper):
     fallen = played(hopper, 51, nature_0=[-1.0, 0.0, 1.0, 0.0])[-1]
     assert fallen.done.all()
