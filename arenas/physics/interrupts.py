@@ -13,7 +13,7 @@ def interruptible(program: Callable[Args, Result]) -> Callable[Args, Result]:
     """Return the program, which raises KeyboardInterrupt when Ctrl-C stops one of its callbacks.
 
     Python runs a signal's handler in the main thread. If that thread is in a callback of a program, JAX catches the
-    KeyboardInterrupt, and raises JaxRuntimeError with its traceback as text (jax 0.10 and 0.11).
+    KeyboardInterrupt, and raises JaxRuntimeError with its traceback as text (jax 0.10.2).
     """
 
     def called(*args: Args.args, **kwargs: Args.kwargs) -> Result:
