@@ -18,7 +18,7 @@ def objective(opened: Open, kind: Objective = "vs_initial") -> float:
 
 
 def too_early(opened: Open, kind: Objective = "vs_initial") -> str:
-    """Return a remark if a player's newest rated snapshot is not from the second half of its training; else an empty text.
+    """Return a remark if a player's newest rated snapshot is from the first half of training; else an empty text.
 
     The figure of merit is then that of the first steps: the time for ratings ended before newer snapshots were rated.
     """
