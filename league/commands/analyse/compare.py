@@ -23,6 +23,8 @@ from storage.blobs.files import new_file
 from storage.database.urls import display_location
 from storage.store import Store
 
+LISTED = 8  # most leagues that a line names
+
 
 def _lasts(value: str) -> None:
     seconds(value)
@@ -52,7 +54,8 @@ class CompareOptions:
     episodes: int | None = field(default=None, metadata={"low": 2, "high": 2**40})
     """Most episodes of these matches (none: as the time allows)."""
     into: str | None = field(default=None, metadata={"valid": check_name})
-    """The league of the store that keeps these matches (none: cross-play. and a digest of the arena's settings)."""
+    """The league of the store that keeps these matches, a new one or one that --into made (none: cross-play. and a
+    digest of the arena's settings)."""
     format: Literal["table", "json", "csv"] = "table"
     """table for people; json has all; csv has the cells."""
     output: str | None = None
@@ -89,7 +92,21 @@ def _compared(options: CompareOptions, found: Sequence[Member], store: Store) ->
     if metric in OF_SNAPSHOTS and (short := unrated(groups, curves)):
         notes = [*notes, wrapped(short)]
     merit = "success" if any(row["success"] is not None for row in rows) else "elo"
+    if merit == "elo" and (missing := unplaced(rows)):
+        notes = [*notes, wrapped(missing)]
     return Comparison(groups, metric, curves, rows, _ranks(groups, rows, merit), merit, notes)
+
+
+def unplaced(rows: Sequence[Row]) -> str:
+    """Return a line that names the leagues with a snapshot whose rating is not known; else an empty text."""
+    names = list(dict.fromkeys(row["league"] for row in rows if not row["known"]))
+    if not names:
+        return ""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return (
+        f"Ratings are not known yet (–) in {', '.join(names[:LISTED])}{more}: matches with the others are too few or"
+        " none, and cells count what is known. A longer --for plays more."
+    )
 
 
 def _ranks(groups: Sequence[Cell], rows: Sequence[Row], merit: str) -> list:
@@ -105,8 +122,9 @@ def _ranks(groups: Sequence[Cell], rows: Sequence[Row], merit: str) -> list:
 
 def _ladder(options: CompareOptions, found: Sequence[Member], store: Store) -> tuple[list[Row], list[str]]:
     """Play, unless --no-play, and return the rows of the ladder and notes about it."""
-    from league.runs.comparison.cross_play import CrossPlay
+    from league.runs.comparison.cross_play import CrossPlay, require_own
 
+    require_own(store, options.into)
     if not options.play:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:

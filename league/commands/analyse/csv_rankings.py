@@ -70,7 +70,11 @@ def _row(value: dict[str, str], place: str) -> tuple[str, str, float]:
     for name in ("event", "player"):
         require_name(value[name], name, place)
     if (rank := rank_of(value["rank"])) is None:
-        raise ConfigError((), f"rank is {value['rank'][:40]!r}: it must be a number, 1 for the best", place)
+        raise ConfigError(
+            (),
+            f"rank is {value['rank'][:40]!r}: it must be a number, 1 for the best; who has no rank has no row",
+            place,
+        )
     return value["event"], value["player"], rank
 
 

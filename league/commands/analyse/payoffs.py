@@ -224,7 +224,7 @@ def _check(options: MetaOptions) -> None:
             if (value := getattr(options, name)) is not None:
                 raise ConfigError((name,), f"--{name} {value} does nothing with --solver nash; use --solver alpharank")
     if options.file is not None:
-        for name in ("rows", "columns", "arena", "engine", "resamples"):
+        for name in ("league", "rows", "columns", "arena", "engine", "resamples"):
             if (value := getattr(options, name)) is not None:
                 raise ConfigError(
                     (name,), f"--{name} {value} is about a league's table; leave it or {options.file} out"

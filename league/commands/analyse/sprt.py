@@ -9,6 +9,7 @@ from typing import Literal
 
 from dashboards.tables import Column, render
 from league.commands.options import HypothesesOptions, parse
+from league.config.schema import ConfigError
 from matchmaking.ratings.sprt import SprtResult
 
 COLUMNS = (
@@ -30,7 +31,7 @@ class SprtOptions(HypothesesOptions):
     def __post_init__(self) -> None:
         """Refuse anything but five counts."""
         super().__post_init__()
-        if len(self.pentanomial) != 5:
+        if self.pentanomial and len(self.pentanomial) != 5:
             raise ValueError(f"pentanomial: must be five counts, LL LD DD DW WW, not {len(self.pentanomial)}")
 
 
@@ -38,6 +39,8 @@ def sprt(args: list[str]) -> int:
     """Print the state of a test."""
     what = "A sequential probability ratio test on seed pairs: accept that A is better, reject it, or continue."
     options = parse(SprtOptions, _listed(args), "sprt", what)
+    if not options.pentanomial:
+        raise ConfigError((), "league sprt needs --pentanomial LL,LD,DD,DW,WW, five counts: see league sprt --help")
     found = options.test().result(options.pentanomial)
     if options.format == "json":
         print(json.dumps(row(found), indent=2))

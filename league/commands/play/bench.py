@@ -145,6 +145,8 @@ def _curve(file: str | None) -> tuple[tuple[float, str], ...]:
                 ("curve",), f"{file}, line {number}: {line[:80]!r} is not SECONDS,FILE, such as 60,a.onnx (no header)"
             )
         found.append((time, policy.strip()))
+    if not found:
+        raise ConfigError(("curve",), f"{file} is empty: its lines are SECONDS,FILE, such as 60,a.onnx (no header)")
     return tuple(found)
 
 

@@ -110,7 +110,7 @@ def _search(found: Sweep, where: str, parallel: int) -> int:
         total.elsewhere += done.elsewhere
         for trial, runs in asked:
             value = search.tell(trial, runs)
-            told = "not known" if value is None else f"{value:.4g}"
+            told = "not known" if value is None else f"{value:.4g}{search.too_early(runs)}"
             _say(f"{cell_text(runs[0].cell)}: {found.settings.objective} {told}")
     if best := search.best():
         points, merit = len(search.study.trials), found.settings.objective

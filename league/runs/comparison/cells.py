@@ -1,5 +1,6 @@
 """The leagues of a comparison, and their cells: leagues whose settings are the same but for the seed."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from league.config.schema import ConfigError
 from league.queries.query import Open
 from league.runs.sweeps.run_state import flat_settings
 from league.state.curriculum_stage import course
+from matchmaking.roles import FIXED
 from storage.errors import UnknownName
 from storage.store import Store
 
@@ -49,7 +51,7 @@ def members(names: Sequence[str], sweep: str | None, store: Store, until: ExitSt
         opened = until.enter_context(Store.open(where)) if other else store
         own = list(_matching(opened, league if other else name))
         if not own and sweep and name == f"{sweep}.*":
-            raise ConfigError(("sweep",), f"no league of {opened.where} is of a sweep {sweep!r}: {_there(opened)}")
+            raise UnknownName("sweep", sweep, _sweeps(opened))
         if not own:
             raise UnknownName("league", name, [each.name for each in opened.leagues()])
         found += [Member(Open(opened, each), f"{where}#{each}" if other else each, {}) for each in own]
@@ -87,8 +89,15 @@ def _matching(store: Store, pattern: str) -> Iterator[str]:
             yield league.name
         elif any(c in pattern for c in "*?[") and fnmatchcase(league.name, pattern):
             of = course(store, league.name)
-            if (of is None and not league.name.startswith(CROSS_PLAY)) or (of is not None and of.root == league.name):
+            own = of is None and not league.name.startswith(CROSS_PLAY) and not holds_copies(store, league.name)
+            if own or (of is not None and of.root == league.name):
                 yield league.name
+
+
+def holds_copies(store: Store, league: str) -> bool:
+    """Return whether a league holds the matches of comparisons: all its players are copies from other leagues."""
+    found = store.players(league)
+    return bool(found) and all(p.role == FIXED.name and p.name.startswith(f"{p.group}.") for p in found)
 
 
 def _of_cell(opened: Open) -> dict[str, Any]:
@@ -96,6 +105,7 @@ def _of_cell(opened: Open) -> dict[str, Any]:
     return {key: value for key, value in flat_settings(text).items() if key.partition(".")[0] not in OWN}
 
 
-def _there(store: Store) -> str:
-    names = [league.name for league in store.leagues()]
-    return f"it has {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}" if names else "it has no league"
+def _sweeps(store: Store) -> list[str]:
+    """Return the sweeps of a store, from the names of their runs, such as lr.lr-0.001.s1."""
+    names = (league.name for league in store.leagues())
+    return list(dict.fromkeys(name.partition(".")[0] for name in names if re.search(r"\.s\d+$", name)))

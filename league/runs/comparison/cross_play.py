@@ -16,7 +16,7 @@ from league.matches.evaluator import MatchEvaluator
 from league.matches.store_rating import Done, Limits, rate
 from league.queries.query import Open
 from league.queries.ratings.rating_rows import Row, rating_rows
-from league.runs.comparison.cells import CROSS_PLAY, Member
+from league.runs.comparison.cells import CROSS_PLAY, Member, holds_copies
 from league.system.arena_build import build, rating_batch
 from matchmaking.ratings.ladder import Ladder, Pool
 from storage.records import RATED_PURPOSES, League, Player, Snapshot
@@ -115,6 +115,15 @@ class CrossPlay:
         self._store.create_league(League(self.league, experiment.dumps(self._config)))
         self._store.add_players([entry.player for entry in self.entries])
         self._store.add_snapshots([entry.copy for entry in self.entries])
+
+
+def require_own(store: Store, into: str | None) -> None:
+    """Raise ConfigError if the league for the matches has other players, whose ratings the matches would change."""
+    if into is not None and store.players(into) and not holds_copies(store, into):
+        raise ConfigError(
+            ("into",), f"--into {into} is a league with players of its own, whose ratings these matches would change:"
+            " give a new name, or that of a league that --into made",
+        )  # fmt: skip
 
 
 def _newest(member: Member) -> list[Snapshot]:

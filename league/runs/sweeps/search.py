@@ -12,7 +12,7 @@ from typing import Any
 
 from league.config.schema import ConfigError
 from league.queries.query import Open
-from league.runs.sweeps.objective import objective
+from league.runs.sweeps.objective import objective, too_early
 from league.runs.sweeps.run_state import flat_settings, run_state
 from league.runs.sweeps.sweep_file import Sweep, SweepRun
 from league.state.curriculum_stage import at_work
@@ -57,6 +57,14 @@ class Search:
         found = statistics.fmean(known)
         self.study.tell(trial, found)
         return found
+
+    def too_early(self, runs: list[SweepRun]) -> str:
+        """Return the remark of the first run whose objective is one of early snapshots; else an empty text."""
+        for run in runs:
+            with Store.open(self._where, blobs=run.config.storage.blobs) as store:
+                if found := too_early(Open(store, at_work(store, run.name)), self.sweep.settings.objective):
+                    return f" {found}"
+        return ""
 
     def best(self) -> tuple[dict[str, Any], float] | None:
         """Return the best trial's cell and its objective; None before the first."""

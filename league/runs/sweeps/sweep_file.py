@@ -16,6 +16,7 @@ Every run is a league, named by the sweep, by what differs and by its seed: `lr.
 
 import hashlib
 import itertools
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -148,6 +149,9 @@ def _sweep(table: dict[str, Any], own: dict[str, Any], text: str, source: str, s
     seeds = own.get("seeds")
     if type(seeds) is int and 1 <= seeds <= 1000:
         own["seeds"] = [*range(1, seeds + 1)]
+    elif seeds is not None and not isinstance(seeds, list):
+        given = json.dumps(seeds, default=str)
+        raise ConfigError((TABLE, "seeds"), f"sweep.seeds = {given}: expected their number, 1 to 1000, or a list")
     elif seeds is None and type(table.get("seed")) is int:
         own["seeds"] = [table["seed"]]
     own.setdefault("name", table.pop("league", "") or re.sub(r"[^\w.+-]", "-", stem))

@@ -70,11 +70,23 @@ class StrengthCovariance:
         return influence.T @ dispersed_information
 
     def side(self) -> float:
-        """Return the variance of the side advantage γ."""
-        place = len(self._anchor)
-        unit = np.zeros(len(self._x))
-        unit[place] = 1
-        return float(self.whole[place, place] if self._is_small else self._times(unit, ungauged=True)[place])
+        """Return the variance of the side advantage γ.
+
+        The two games of a seed pair swap sides: with dispersion φ of a player's score that of side A's is 2 - φ, since
+        twice the variance of both games is the sum of the two. A start that favours a side makes φ small, so the larger
+        of both counts, which is right for games that share a start without swapping sides too.
+        """
+        unit = np.zeros((len(self._x), 1))
+        unit[len(self._anchor)] = 1
+        problem, x, terms = self._problem, self._x, self._terms
+        dispersion = np.maximum(self._dispersion, 2 - self._dispersion)
+        if self._is_small:
+            influence = np.linalg.solve(problem.information(x, terms) + problem.location, unit)
+            dispersed = problem.information(x, terms, dispersion) @ influence
+        else:
+            influence = self.solve(unit)
+            dispersed = problem.sparse_information(x, terms, dispersion, located=False).times(influence)
+        return float(influence[:, 0] @ dispersed[:, 0])
 
     def of_sum(self, weights: np.ndarray) -> float:
         """Return the variance of a weighted sum of strengths; the weights (P,) sum to 0."""
@@ -142,13 +154,12 @@ class StrengthCovariance:
         """Solver of systems with H, to all but the last seven digits."""
         return self.information.solver()
 
-    def _times(self, contrast: np.ndarray, ungauged: bool = False) -> np.ndarray:
+    def _times(self, contrast: np.ndarray) -> np.ndarray:
         """Return the covariances (P + T,) with a contrast (P + T,) of the parameters."""
         influence = self.solve(contrast[:, None])
         found = self.solve(self.dispersed_information.times(influence))[:, 0]
-        if not ungauged:
-            P = len(self._anchor)
-            found[:P] -= self._anchor @ found[:P]
+        P = len(self._anchor)
+        found[:P] -= self._anchor @ found[:P]
         return found
 
     def _padded(self, strengths: np.ndarray) -> np.ndarray:

@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from league.queries.query import Open
 from league.runs.sweeps import search, sweep_file
+from league.runs.sweeps.objective import objective, too_early
 from storage.store import Store
 from tests.league.conftest import said
+from tests.league.leagues import filled, finish, match
 
 TEXT = """
 arena.name = "rock-paper-scissors"
@@ -47,6 +50,16 @@ def test_a_dry_run_says_what_is_searched(folder, capsys):
     code, out, _ = said(capsys, "sweep", "search.toml", "--dry-run")
     assert code == 0
     assert "searches 1 points of learner.lr from 0.0001 to 0.1, learner.epochs from 1 to 3" in out
+
+
+def test_an_objective_of_snapshots_from_the_first_half_of_training_says_so(tmp_path):
+    with filled(tmp_path, match("blue@1", "blue@0", 60, 40), match("red@4", "red@0", 70, 30)) as store:
+        found = Open(store, "cup")
+        assert objective(found) == pytest.approx(0.65)
+        assert too_early(found).startswith("of snapshots at 100 of 400 steps; a longer budget.rating_time")
+        finish(store, matches=[match("blue@4", "blue@0", 80, 20)])
+        assert objective(found) == pytest.approx(0.75)
+        assert too_early(found) == ""
 
 
 @pytest.mark.slow

@@ -133,13 +133,31 @@ def test_a_league_of_another_store_can_be_compared(inside, capsys):
     assert f"other.{NAMES[1]}.blue@2" in kept
 
 
+def test_a_pattern_leaves_out_the_league_that_keeps_the_matches(inside, capsys):
+    args = ("compare", "--sweep", "lr", "--into", "lr.kept", "--format", "json")
+    assert said(capsys, *args, "--for", "20s", "--episodes", "128")[0] == 0
+    code, out, err = said(capsys, *args, "--no-play")
+    assert code == 0, err
+    assert {row["league"] for row in json.loads(out)["ladder"]} == set(NAMES[:2])
+
+
+def test_leagues_that_have_not_met_say_that_their_ratings_are_not_known(inside, capsys):
+    for name in NAMES[:2]:
+        args = ("compare", name, "--into", "apart", "--for", "20s", "--episodes", "128")
+        assert "not known yet" not in said(capsys, *args)[1]
+    out = said(capsys, "compare", *NAMES[:2], "--into", "apart", "--no-play")[1]
+    assert f"Ratings are not known yet (–) in {NAMES[0]}, {NAMES[1]}:" in " ".join(out.split())
+
+
 @pytest.mark.parametrize(
     ("args", "says"),
     [
         ((), "league compare needs leagues"),
         (("nobody",), "There is no league 'nobody'"),
         (("no*",), "There is no league 'no*'"),
-        (("--sweep", "nix"), "is of a sweep 'nix'"),
+        (("--sweep", "nix"), "There is no sweep 'nix' here; there is: lr."),
+        ((NAMES[0], "--into", NAMES[1]), f"--into {NAMES[1]} is a league with players of its own"),
+        ((NAMES[0], "--into", NAMES[1], "--no-play"), "give a new name"),
         ((NAMES[0], "--metric", "nix"), "metric 'nix' was not recorded; there are: vs_initial"),
         ((NAMES[0], "--for", "soon"), "--for"),
     ],

@@ -100,6 +100,7 @@ def test_a_file_that_is_no_payoff_matrix_is_refused_in_one_line(capsys, tmp_path
         (("--alpha", "3"), "--alpha 3.0 does nothing with --solver nash"),
         (("--solver", "elo"), '"nash", "alpharank"'),
         (("--solver", "alpharank", "--population", "1"), "at least 2"),
+        (("--league", "main"), "--league main is about a league's table"),
         (("--rows", "blue@*"), "--rows blue@* is about a league's table"),
     ],
 )

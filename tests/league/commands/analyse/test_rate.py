@@ -356,3 +356,15 @@ def test_standard_input_in_another_encoding_is_one_line(monkeypatch, capsys):
     out, err = capsys.readouterr()
     assert (left.value.code, out, err.count("\n")) == (2, "", 1)
     assert "standard input is not text in UTF-8" in err
+
+
+def test_the_error_of_the_side_counts_starts_that_favour_a_side_in_both_games(rated):
+    """120 starts favour side A and 80 side B: as many independent observations, not twice as many."""
+    rows = []
+    for start in range(200):
+        a, b = (1, 0) if start < 120 else (0, 1)
+        rows += [f"pit,anna,bert,{a},0,{b},{start}", f"pit,bert,anna,{a},0,{b},{start}"]
+    told = rated(rows, "--prior", "0", head="arena,side_a,side_b,wins_a,draws,wins_b,seed_pair")
+    assert told["side_elo"] == pytest.approx(ELO * math.log(120 / 80), rel=1e-4)
+    assert told["side_elo_stderr"] == pytest.approx(ELO * math.sqrt(1 / 120 + 1 / 80), rel=0.03)
+    assert told["ratings"][0]["elo_stderr"] < 5  # every pair was even

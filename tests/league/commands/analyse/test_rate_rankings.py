@@ -107,7 +107,7 @@ def test_what_the_rankings_do_not_bound_is_said(rated, rate):
     [
         (["1,a,1", "1,b,second"], "log.csv:3: rank is 'second': it must be a number, 1 for the best"),
         (["1,a,1", "1,b,nan"], "log.csv:3: rank is 'nan': it must be a number, 1 for the best"),
-        (["1,a,1", "1,b,"], "log.csv:3: rank is '': it must be a number, 1 for the best"),
+        (["1,a,1", "1,b,"], "log.csv:3: rank is '': it must be a number, 1 for the best; who has no rank has no row"),
         (["1,a,1", "1,b,2", "2,c,1"], "log.csv: event '2' has one player: a ranking needs two or more"),
         (["1,a,1", "1,b,2", "1,a,3"], "log.csv:4: 'a' is in event '1' twice"),
         (["1,a,1", "1,,2"], "log.csv:3: player is empty: it must be a name"),

@@ -202,6 +202,7 @@ REFUSED = {
     "sides that are alike": ([SUMO, "--entry", "green=x.onnx"], "are alike; give --entry FILE, no green="),
     "odd games": ([SUMO, "--entry", "{one}", "--games", "7"], "--games is 7: it must be even"),
     "no curve": ([SUMO, "--entry", "{one}", "--curve", "{slow}"], "line 1: 'import time' is not SECONDS,FILE"),
+    "an empty curve": ([SUMO, "--entry", "{one}", "--curve", "{empty}"], "empty.csv is empty: its lines are"),
     "unlike sides": ([UNLIKE, "--entry", *SHIPPED, "--curve", "{curve}"], "--curve is for tasks of like sides, and"),
     "no such reference": ([SUMO, "--entry", "{one}", "--against", "king"], "There is no reference 'king'"),
     "no such track": ([SUMO, "--entry", "{one}", "--track", "1d"], "--track is '1d', and t1-sumo-rovers-v1 has 50M,"),
@@ -221,11 +222,13 @@ def bad(tmp_path_factory):
     rovers = TASKS[SUMO].sides["blue"]
     (folder / "slow.py").write_text(SLOW)
     (folder / "curve.csv").write_text("60,anymals-sumo\n")
+    (folder / "empty.csv").touch()
     found = {
         "nan": network(folder / "nan.safetensors", rovers, broken=True), "slow": str(folder / "slow.py"),
         "one": network(folder / "one.safetensors", rovers), "copy": str(folder / "copy.safetensors"),
         "kuhn": gemm(folder / "kuhn.onnx", sees=10, acts=2), "folder": str(folder),
-        "curve": str(folder / "curve.csv"), "large": gemm(folder / "large.onnx", sees=38, acts=2),
+        "curve": str(folder / "curve.csv"), "empty": str(folder / "empty.csv"),
+        "large": gemm(folder / "large.onnx", sees=38, acts=2),
     }  # fmt: skip
     model = onnx.load(found["large"])
     model.graph.initializer.append(onnx.numpy_helper.from_array(np.zeros(4_000_001, np.int8), "idle"))
