@@ -48,6 +48,10 @@ class NotAStore(StorageError):
     """There is no league store at the location given. Anything found there was left untouched."""
 
 
+class NoPermission(StorageError):
+    """The user may not write the store, or its disk is read-only; the store itself may be whole."""
+
+
 class NoLeague(StorageError):
     """The store holds no league yet."""
 

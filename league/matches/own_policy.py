@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from agents.policy.host_policy import HostPolicy
 from league.config.schema import ConfigError
 from league.matches.adhoc_matches import Pairing
@@ -64,10 +66,12 @@ class Policy:
     def play(self, league: "Open", opponent: str | None = None, episodes: int = 128, team: str | None = None) -> Score:
         """Play a number of episodes against a snapshot of a league, and return the score; the store keeps none.
 
-        The number is even, or a multiple of more teams. Sides are swapped if rosters allow. With several other teams
-        the opponent plays each of them. In an arena of one team there is no opponent. Raises StorageError or
-        ConfigError, one line, if the policy does not fit the team or cannot meet the opponent.
+        The number is rounded up to an even one, or to a multiple of more teams. Sides are swapped if rosters allow.
+        With several other teams the opponent plays each of them. In an arena of one team there is no opponent. Raises
+        StorageError or ConfigError, one line, if the policy does not fit the team or cannot meet the opponent.
         """
+        if not isinstance(episodes, int | np.integer) or episodes < 1:
+            raise ConfigError(("episodes",), f"episodes = {episodes!r:.40}: give a whole number of 1 or more")
         teams = len({p.team for p in league.store.players(league.league)})
         if (opponent is None) != (teams == 1):
             what = (

@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Self
 
+from league.config.schema import ConfigError
 from league.queries.league_settings import LeagueSettings, R
-from league.queries.ratings.rating_rows import VOID_LIMIT, Row, chosen, moment, rating_rows
+from league.queries.ratings.rating_rows import VOID_LIMIT, Row, chosen, moment, rating_rows, when
 from league.state.curriculum_stage import at_work
 from league.state.void_rates import names as cause_names
 from league.system.provenance import LINE, code_of
@@ -20,6 +21,8 @@ from storage.records import RATED_PURPOSES, ArenaKey, CurvePoint, Match, Player,
 from storage.store import Store
 
 if TYPE_CHECKING:
+    from datetime import date
+
     import pandas as pd
 
     from matchmaking.roles import Role
@@ -51,12 +54,12 @@ class Open:
         engine: str | None = None,
         team: str | None = None,
         role: str | None = None,
-        as_of: str | None = None,
+        as_of: "str | date | None" = None,
     ) -> "pd.DataFrame":
         """Return a row per snapshot, best first, on one ladder: rank, player, name, role, elo, low, high, games, ...
 
         The ladder is that of the newest rating matches, of those in `arena` and under `engine` if given, at the end
-        of `as_of` (a date or time in ISO 8601, UTC). With `team` or `role`, only rows of that team or role.
+        of `as_of` (a date, or a time, also in ISO 8601; UTC). With `team` or `role`, only rows of that team or role.
 
         Elo is fitted anew from all matches of the ladder; the mean of the players' initial snapshots is 1000. low and
         high are the 95 % interval of the difference to that mean, and `known` is false if the interval is too wide to
@@ -69,12 +72,16 @@ class Open:
         marks snapshots whose void episodes exceed the league's `rating.void_limit`: "!" if their own robots caused
         them, "?" if perhaps.
 
-        Raises StorageError if there is no such ladder, UnknownName for an unknown team or role, ValueError for an
-        `as_of` that is not a date.
+        Raises StorageError if there is no such ladder, or was no snapshot then, UnknownName for an unknown team or
+        role, ConfigError for an `as_of` that is not a date.
         """
         import pandas as pd
 
-        shown = self.shown(arena, engine, None if as_of is None else moment(as_of))
+        try:
+            until = None if as_of is None else moment(as_of)
+        except ValueError as error:
+            raise ConfigError(("as_of",), f"as_of = {as_of!r:.40}: {error}") from None
+        shown = self.shown(arena, engine, until)
         rows = rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
         return pd.DataFrame(chosen(rows, shown.players, self.teams(), team, role))
 
@@ -83,10 +90,14 @@ class Open:
     ) -> "Shown":
         """Return the first matching ladder, or all, as of a time on the database's clock.
 
-        Raises StorageError if none matches.
+        Raises StorageError if none matches, or the league had no snapshot yet.
         """
         totals, players = self.store.totals(self.league, RATED_PURPOSES, as_of), self.store.players(self.league)
-        snapshots = [s for s in self.store.snapshots(self.league, brief=True) if as_of is None or s.created <= as_of]
+        every = self.store.snapshots(self.league, brief=True)
+        snapshots = [s for s in every if as_of is None or s.created <= as_of]
+        if as_of is not None and every and not snapshots:
+            first = when(min(s.created for s in every))
+            raise StorageError(f"League {self.league} had no snapshot yet at {when(as_of)}; its first is of {first}.")
         pool, keys = Pool.of(snapshots, players), list(totals)
         first = choose(keys, arena, engine)
         wanted = [key for key in keys if arena in (None, key.arena) and engine in (None, key.engine)]

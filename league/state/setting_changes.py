@@ -70,6 +70,15 @@ def run_changes(before: str, now: str) -> list[str]:
     return _differences(one, other)
 
 
+def start_changed(before: str, now: str) -> bool:
+    """Return whether `after` differs between two configurations as text; not if one cannot be read."""
+    try:
+        one, other = (tomllib.loads(text).get("after", []) for text in (before, now))
+    except tomllib.TOMLDecodeError:
+        return False
+    return one != other
+
+
 def _settings_of_runs(text: str) -> Iterator[tuple[str, Any]]:
     """Yield the settings OF_RUNS of a configuration with their dotted keys; records of a list by their names."""
     left: list[tuple[Key, Any]] = [((name,), value) for name, value in tomllib.loads(text).items() if name in OF_RUNS]

@@ -14,7 +14,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from storage.database.garbage_collection import paused_garbage_collection
 from storage.database.rows import bump_revisions, columns, record_from
-from storage.errors import StorageError, Unavailable
+from storage.errors import NoPermission, StorageError, Unavailable
 
 R = TypeVar("R")
 
@@ -175,16 +175,11 @@ def _translated(where: str, error: DBAPIError) -> StorageError:
         if re.search(r"database or disk is full|No space left", cause):
             text = "the disk is full; nothing was half written. Free some space"
         return Unavailable(f"{where}: {text}")
-    return StorageError(f"{where}: {next((plain for p, plain in _PLAIN if re.search(p, cause)), f'{cause}.')}")
-
-
-_PLAIN = (
-    (
-        "readonly database|unable to open|permission denied",
-        "no permission to write there (SQLite needs it even to read).",
-    ),
-    ("(?i)foreign key", "a row names a league, player or snapshot that is not there; nothing was written."),
-)
+    if re.search("readonly database|unable to open|permission denied", cause):
+        return NoPermission(f"{where}: no permission to write there (SQLite needs it even to read).")
+    if re.search("(?i)foreign key", cause):
+        cause = "a row names a league, player or snapshot that is not there; nothing was written"
+    return StorageError(f"{where}: {cause}.")
 
 
 def _is_transient(error: DBAPIError, where: str) -> bool:

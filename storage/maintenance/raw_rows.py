@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from storage.database import schema as t
 from storage.database.connection import Database, translated_errors
 from storage.database.rows import strings_in
-from storage.errors import NewerStore, NotAStore, OldStore, StorageError, Unavailable
+from storage.errors import NewerStore, NoPermission, NotAStore, OldStore, StorageError, Unavailable
 from storage.maintenance import row_transfer
 from storage.maintenance.findings import (
     BlobReference,
@@ -84,13 +84,12 @@ class RawRows:
         self._report.references_known = False
 
     def _attempt(self, db: sa.Connection, place: str, read: Callable[[], None]) -> None:
-        """Call `read`, or report why it failed. A lost server is not a fault of the store."""
+        """Call `read`, or report why it failed."""
         try:
             with translated_errors(self._report.where):
                 read()
         except StorageError as error:
-            if isinstance(error, Unavailable) and db.dialect.name != "sqlite":
-                raise
+            _raise_unless_of_the_store(error, db)
             self._report_unread("corrupt", place, f"cannot be read: {_cause(error, self._report.where)}")
             db.rollback()
 
@@ -101,8 +100,7 @@ class RawRows:
                 columns = _columns(db)
                 schema = _schema(db) if t.changes.name in columns else None
         except StorageError as error:
-            if isinstance(error, Unavailable) and db.dialect.name != "sqlite":
-                raise
+            _raise_unless_of_the_store(error, db)
             cause = _cause(error, self._report.where)
             if "not a database" in cause and not self._has_blobs:
                 raise NotAStore(f"{self._report.where} is not a league store, nor any SQLite database.") from None
@@ -236,6 +234,12 @@ class RawRows:
         self._named.setdefault(
             digest, BlobReference(table, place, sides, row.get("script"), row.get("purpose") == "training")
         )
+
+
+def _raise_unless_of_the_store(error: StorageError, db: sa.Connection) -> None:
+    """Raise an error that is no fault of the store: a lost server, or a store that this user may not use."""
+    if isinstance(error, NoPermission) or (isinstance(error, Unavailable) and db.dialect.name != "sqlite"):
+        raise error
 
 
 def _columns(db: sa.Connection) -> dict[str, set[str]]:

@@ -23,6 +23,13 @@ class SharedArena:
         self.arena = arena
         self._programs: dict[object, Any] = {}
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse to pickle or copy environments, all of which hold this."""
+        raise ArenaError(
+            f"an environment of {self.arena.name} cannot be pickled or copied, since its compiled programs belong to"
+            " this process: pass on the function that makes it"
+        )
+
     def program(self, name: object, make: Callable[[], Any]) -> Any:
         """Return the program of this name, made once. It raises KeyboardInterrupt if Ctrl-C stops the engine."""
         if name not in self._programs:

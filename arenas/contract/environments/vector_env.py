@@ -39,9 +39,10 @@ class TeamVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs = arguments.whole("num_envs", num_envs)
         limit = arguments.number("action_limit", action_limit, above=0.0)
         self._weights = Weights(arguments.number("shaping", shaping), arguments.number("void_penalty", void_penalty))
-        self._export = exporter(arrays)
+        export = exporter(arrays)
         alone: EngineOptions = {"threads": 1} if self.num_envs == 1 else {}
         self._shared = shared_arena(name, **(alone | options | {"worlds": self.num_envs}))
+        self._export = export  # after `_shared`, which says why nothing here can be pickled
         self.arena = arena = self._shared.arena
         self._rows = rows = TeamRows(arena, arguments.team_index(arena, team), _is_shared(agents))
         self.team: TeamSpec = rows.team

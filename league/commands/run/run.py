@@ -27,7 +27,7 @@ from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.training_progress import trained_enough
 from league.state.league_state import LeagueState
 from league.state.liveness import leader, process_named
-from league.state.setting_changes import learner_changes, run_changes
+from league.state.setting_changes import learner_changes, run_changes, start_changed
 from league.system import devices, exit_codes, provenance
 from storage.database.urls import without_passwords
 from storage.errors import NotAStore
@@ -133,12 +133,19 @@ def _refuse_if_running(where: str, config: Config) -> None:
 
 def _setting_changes(where: str, config: Config) -> list[str]:
     """Return lines for each league of this run whose settings differ from those of its last run."""
+    first = configuration.stage(config, 0) if config.stages else config
     try:
         with Store.open(where, blobs=config.storage.blobs) as store:
             kept = {league.name: league.config for league in store.leagues()}
+            begun = [*store.newest_checkpoints(first.league)]
     except NotAStore:
         return []
     told = []
+    if begun and config.after and start_changed(kept.get(config.league, ""), configuration.dumps(config)):
+        told.append(
+            f"after = {json.dumps(config.after)} is for players that begin to learn: {', '.join(begun)} of league"
+            f" {first.league} go on from where they are. A league of another name (--league) starts from there."
+        )
     for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
         before, now = kept.get(each.league, ""), configuration.dumps(each)
         if changes := learner_changes(before, now):

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from typing import Any
 
 import numpy as np
@@ -169,14 +169,15 @@ def when(seconds: float) -> str | None:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if seconds else None
 
 
-def moment(text: str) -> float:
-    """Return a date or time in ISO 8601 as seconds since the epoch: the end of that day, or of that second, in UTC.
+def moment(given: str | date) -> float:
+    """Return a date or time, also in ISO 8601, as seconds since the epoch: the end of that day or second, in UTC.
 
     Raises ValueError.
     """
+    text = given.isoformat() if isinstance(given, date) else given
     try:
         found = datetime.fromisoformat(text)
-    except ValueError:
+    except (TypeError, ValueError):
         raise ValueError("must be a date such as 2026-11-22, or a time such as 2026-11-22T10:30, in UTC") from None
     found = found if found.tzinfo else found.replace(tzinfo=UTC)
     return found.timestamp() + (86_400 if len(text) <= len("2026-11-22") else 1) - 1e-3

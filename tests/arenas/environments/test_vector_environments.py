@@ -1,5 +1,7 @@
 """Arenas as Gymnasium's environments of one team: rows, ends of episodes, opponents, arrays."""
 
+import copy
+import pickle
 from dataclasses import replace
 
 import gymnasium
@@ -258,6 +260,17 @@ def test_an_action_of_one_world_that_is_no_array_is_told_in_one_line(alone):
     for action, line in (("left", "the action 'left' is no array of numbers"), ([0.0] * 9, r"the shape \(9,\)")):
         with pytest.raises(ArenaError, match=line):
             alone.step(action)
+
+
+@pytest.mark.parametrize("copied", [pickle.dumps, copy.deepcopy])
+@pytest.mark.parametrize("arrays", ["numpy", "torch"])
+def test_what_is_compiled_is_neither_pickled_nor_copied_and_a_line_says_so(copied, arrays):
+    for env in (
+        arenas.vector(RACE, "blue", "idle", num_envs=2, arrays=arrays), arenas.single(RACE, "blue", "idle"),
+        arenas.pettingzoo(RACE), arenas.stable_baselines(RACE, "blue", "idle", num_envs=2),
+    ):  # fmt: skip
+        with pytest.raises(ArenaError, match=r"^an environment of .* cannot be pickled or copied, since .*makes it$"):
+            copied(env)
 
 
 def test_it_is_an_environment_of_gymnasium(race):

@@ -1,5 +1,6 @@
 """`league ratings` and what `league.open(...).ratings()` gives: columns, choices, times past, formats, the ticker."""
 
+import datetime as dt
 import io
 import json
 import subprocess
@@ -15,10 +16,11 @@ import sqlalchemy as sa
 import league
 from league.commands.cli import main
 from league.commands.ladder_text import ratings_table
+from league.config.schema import ConfigError
 from league.queries.ratings.rating_rows import moment, rating_rows, when
 from matchmaking.ratings.payoff import sum_matches
 from storage.database import schema
-from storage.errors import UnknownName
+from storage.errors import StorageError, UnknownName
 from storage.store import Store
 from tests.league.leagues import WARP, filled, match
 
@@ -153,6 +155,22 @@ def test_as_of_a_time_later_games_and_snapshots_are_not_there(rows):
     assert {row["name"]: row["games"] for row in rows("--as-of", "2026-11-22T11:59")}["blue@1"] == 40
     assert {row["name"]: row["games"] for row in rows("--as-of", "2026-11-22T12:00")}["blue@1"] == 80
     assert rows("--as-of", "2030-01-01") == rows()
+
+
+def test_python_takes_dates_and_refuses_what_is_none_in_one_line(place):
+    with league.open(place) as opened:
+        early = opened.ratings(as_of="2026-11-20")
+        assert early.games.sum() == 2 * 40
+        assert early.equals(opened.ratings(as_of=dt.date(2026, 11, 20)))
+        assert early.equals(opened.ratings(as_of=datetime(2026, 11, 20, 23, tzinfo=UTC)))
+        for wrong in (5, "2026-13-01"):
+            with pytest.raises(ConfigError, match=f"^as_of = {wrong!r}: must be a date such as 2026-11-22"):
+                opened.ratings(as_of=wrong)
+
+
+def test_before_its_first_snapshot_a_league_has_no_ratings_and_says_since_when_it_has(place):
+    with league.open(place) as opened, pytest.raises(StorageError, match=r"no snapshot yet at 2020-01-01T23:59:59Z"):
+        opened.ratings(as_of="2020-01-01")
 
 
 def test_times_are_told_in_utc():

@@ -342,6 +342,8 @@ def test_a_policy_in_python_plays_without_being_stored(home, tmp_path):
         assert (score.score, score.games, score.voids) == (1.0, 16, 0)
         assert set(seen) == {3, 8}  # the trial, and each of the two sides
         assert not opened.store.matches("main")
+        with pytest.raises(ConfigError, match=r"^episodes = 0: give a whole number of 1 or more$"):
+            Policy.from_callable(Paper()).play(opened, "rock", episodes=0)
         with pytest.raises(ConfigError, match="put it in a file"):
             Policy.from_callable(Paper()).add_to(opened, "paper-again")
         assert Policy.from_file(gemm(tmp_path / "p.onnx")).add_to(opened, "mine", "red").roster == ROSTER

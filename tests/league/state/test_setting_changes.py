@@ -7,7 +7,7 @@ import pytest
 
 from league.config import experiment
 from league.config.experiment import PlayerSettings
-from league.state.setting_changes import learner_changes, lineage, run_changes
+from league.state.setting_changes import learner_changes, lineage, run_changes, start_changed
 from matchmaking.roles import Role
 from storage.records import Snapshot
 from tests.league.conftest import call, said
@@ -62,6 +62,13 @@ def test_what_a_run_changes_beside_the_learner_is_told_by_key():
     assert run_changes("training = 3", experiment.dumps(other)) == []
 
 
+def test_another_start_is_noticed():
+    walk = experiment.dumps(replace(PLAIN, after=("anymal-walk",)))
+    assert start_changed(experiment.dumps(PLAIN), walk)
+    assert not start_changed(walk, walk)
+    assert not start_changed("after =", walk)
+
+
 def test_the_snapshot_after_a_change_bears_it():
     kept = [snapshot(0, text()), snapshot(4, text(), "blue@0"), snapshot(8, text(lr=0.5), "blue@4"),
             snapshot(16, text(lr=0.5), "blue@8")]  # fmt: skip
@@ -75,10 +82,11 @@ def test_the_snapshot_after_a_change_bears_it():
 def test_a_run_with_another_rate_says_so_and_explain_keeps_record(copied_league, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     more = ("run", "--steps", "2048", "--budget.rating_time", "0s", "--workers.match", "0")
-    done = call(*more, "--learner.lr", "0.002", "--seed", "2", cwd=tmp_path)
+    done = call(*more, "--learner.lr", "0.002", "--seed", "2", "--after", "nobody", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Learns on with other settings than before: learner.lr 0.001 -> 0.002." in done.stdout
     assert "Goes on with other settings than before: seed 3 -> 2." in done.stdout
+    assert 'after = ["nobody"] is for players that begin to learn: blue, red of league' in done.stdout
     code, out, _ = said(capsys, "explain", "blue@5", "--format", "json")
     found = json.loads(out)["lineage"]
     assert code == 0

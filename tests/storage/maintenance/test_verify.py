@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from storage.database.schema import newest_schema
-from storage.errors import NewerStore, NotAStore, OldStore, StorageError
+from storage.errors import NewerStore, NoPermission, NotAStore, OldStore, StorageError
 from storage.maintenance.findings import StoreFinding
 from storage.maintenance.verify import verify
 from storage.store import Store
@@ -330,3 +330,12 @@ def test_an_id_that_is_no_number_is_refused_where_the_log_is_summed(folder: Path
     change(folder, "UPDATE matches SET id = '*' WHERE id = 1")
     with Store.open(folder) as store, pytest.raises(StorageError, match="a row of table 'matches' is damaged"):
         store.totals("cup", "rating")
+
+
+def test_a_store_that_this_user_may_not_use_is_not_called_corrupt(folder: Path):
+    folder.chmod(0o500)
+    if os.access(folder, os.W_OK):
+        pytest.skip("this user, root, may write everywhere")
+    with pytest.raises(NoPermission, match="no permission to write there"):
+        verify(str(folder))
+    folder.chmod(0o700)
