@@ -49,7 +49,7 @@ class RecordingHeader:
     """The players and the outcome of an episode. Tuples with one entry per side are in the arena's team order."""
 
     league: str
-    match: int  # 0 where the episode belongs to no stored match
+    match: int  # 0: the number is not known yet, since a match is stored after its recording
     seed: int
     world: int  # index of the world in the match's batch
     arena: ArenaKey

@@ -100,7 +100,8 @@ def _notes(ladder: Ladder, rows: Sequence[Row], void_limit: float, by_side: bool
         notes += unbounded_fits.of_ladder(ladder)
         if abs(side := ladder.ratings.side_advantage) >= 0.5 and not ladder.separation.side:
             notes.append(
-                f"Playing the first side is worth {side:+.0f} Elo: against an equal it scores"
+                f"Playing the first side is worth {side:+.0f} Elo"
+                f" (± {ladder.ratings.quantile * ladder.ratings.side_stderr:.0f}): against an equal it scores"
                 f" {100 * ladder.ratings.first_side_score():.1f} %, not 50."
             )
     if any(row["voids_own"] or row["voids_unclear"] for row in rows):

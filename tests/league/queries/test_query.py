@@ -233,8 +233,8 @@ def test_voids_are_shown_by_their_cause_and_flagged_above_the_setting(printed):
 def test_what_the_first_side_is_worth_is_said_in_elo_and_in_words(printed):
     uneven = replace(match("blue@1", "red@1", 100, 100), side_wins=80, side_losses=20)
     text = " ".join(printed(ratings, log=[uneven]).split())
-    assert "Playing the first side is worth +2" in text
-    assert "Elo: against an equal it scores 80.0 %, not 50." in text
+    # 160 of 200 games are won by the first side: ln 4, with a standard error of 1 / sqrt(200 · 0.8 · 0.2).
+    assert "Playing the first side is worth +241 Elo (± 60): against an equal it scores 80.0 %, not 50." in text
 
 
 def test_unlike_sides_have_a_table_each_and_are_told_against_each_other():
