@@ -16,6 +16,7 @@ from league.queries.ratings.rating_rows import (
     side_text,
     unlike_sides,
 )
+from matchmaking.ratings.fit import Ratings
 from matchmaking.ratings.ladder import ANCHOR_ELO, UNKNOWN, Ladder
 from matchmaking.ratings.scores import quantile
 from storage.records import ArenaKey, Snapshot
@@ -98,12 +99,8 @@ def _notes(ladder: Ladder, rows: Sequence[Row], void_limit: float, by_side: bool
         if ladder.payoff.rankings:
             notes.append("Ratings are fitted to whole rankings; in games and w-d-l each other team counts as a game.")
         notes += unbounded_fits.of_ladder(ladder)
-        if abs(side := ladder.ratings.side_advantage) >= 0.5 and not ladder.separation.side:
-            notes.append(
-                f"Playing the first side is worth {side:+.0f} Elo"
-                f" (± {ladder.ratings.quantile * ladder.ratings.side_stderr:.0f}): against an equal it scores"
-                f" {100 * ladder.ratings.first_side_score():.1f} %, not 50."
-            )
+        if abs(ladder.ratings.side_advantage) >= 0.5 and not ladder.separation.side:
+            notes.append(_first_side(ladder.ratings))
     if any(row["voids_own"] or row["voids_unclear"] for row in rows):
         text = "void %: episodes that unstable physics stopped, by the snapshot's own robots + of unclear cause."
         if any(row["flagged"] for row in rows):
@@ -112,6 +109,15 @@ def _notes(ladder: Ladder, rows: Sequence[Row], void_limit: float, by_side: bool
     if any(row["suspect"] or row["vs_initial_suspect"] for row in rows):
         notes.append(VOID_NOTE)
     return notes
+
+
+def _first_side(ratings: Ratings) -> str:
+    """Return a line on the worth of the first side, with its 95 % interval."""
+    side, around = ratings.side_advantage, ratings.quantile * ratings.side_stderr
+    worth = f"Playing the first side is worth {side:+.0f} Elo (± {around:.0f})"
+    if abs(side) <= around:
+        return f"{worth}, so perhaps nothing."
+    return f"{worth}: against an equal it scores {100 * ratings.first_side_score():.1f} %, not 50."
 
 
 def _between(ladder: Ladder, frozen: Sequence[Snapshot], sides: Sequence[str]) -> list[str]:

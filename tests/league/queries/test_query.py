@@ -230,11 +230,16 @@ def test_voids_are_shown_by_their_cause_and_flagged_above_the_setting(printed):
     assert "45.0 + 5.0!" in ratings_table(worse, pool, [BLUE, RED], 0.02)
 
 
-def test_what_the_first_side_is_worth_is_said_in_elo_and_in_words(printed):
-    uneven = replace(match("blue@1", "red@1", 100, 100), side_wins=80, side_losses=20)
-    text = " ".join(printed(ratings, log=[uneven]).split())
-    # 160 of 200 games are won by the first side: ln 4, with a standard error of 1 / sqrt(200 · 0.8 · 0.2).
-    assert "Playing the first side is worth +241 Elo (± 60): against an equal it scores 80.0 %, not 50." in text
+@pytest.mark.parametrize(
+    ("won", "told"),
+    [  # of 100 games on each side; the error of the logit is 1 / sqrt(200 · p · (1 - p))
+        (80, "Playing the first side is worth +241 Elo (± 60): against an equal it scores 80.0 %, not 50."),
+        (52, "Playing the first side is worth +14 Elo (± 48), so perhaps nothing."),
+    ],
+)
+def test_what_the_first_side_is_worth_is_said_with_its_interval(won, told, printed):
+    uneven = replace(match("blue@1", "red@1", 100, 100), side_wins=won, side_losses=100 - won)
+    assert told in " ".join(printed(ratings, log=[uneven]).split())
 
 
 def test_unlike_sides_have_a_table_each_and_are_told_against_each_other():
