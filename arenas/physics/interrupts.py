@@ -1,6 +1,7 @@
 """Ctrl-C during a call of a compiled program whose callbacks run Python, such as the steps of MuJoCo's C engine."""
 
 from collections.abc import Callable
+from functools import wraps
 from typing import ParamSpec, TypeVar
 
 import jax
@@ -16,6 +17,7 @@ def interruptible(program: Callable[Args, Result]) -> Callable[Args, Result]:
     KeyboardInterrupt, and raises JaxRuntimeError with its traceback as text (jax 0.10.2).
     """
 
+    @wraps(program)
     def called(*args: Args.args, **kwargs: Args.kwargs) -> Result:
         try:
             return program(*args, **kwargs)

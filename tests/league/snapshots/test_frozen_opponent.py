@@ -1,5 +1,7 @@
 """Snapshots and policies' files as opponents in the environments of somebody else's learner."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,7 +63,8 @@ def test_a_snapshot_plays_the_other_team_and_its_successor_needs_no_compilation(
 
     assert (red_moves() > 0.05).all()
     assert (red_moves(league.opponent(f"{place}#red@1")) < -0.05).all()
-    assert env._shared.team_step(env._rows, env._opponent)._cache_size() == 1
+    program = env._shared.team_step(env._rows, env._opponent)
+    assert inspect.unwrap(program, stop=lambda each: hasattr(each, "_cache_size"))._cache_size() == 1
 
 
 def test_a_recurrent_snapshot_remembers_through_an_episode_and_no_longer(place):
