@@ -19,6 +19,7 @@ import arenas
 from arenas.contract.environments.opponent import opponent_for
 from arenas.contract.environments.team_programs import TeamRows
 from arenas.errors import ArenaError
+from tests.arenas.environments.programs import compilations
 
 RACE, SOLO = "tests/arenas/race.py:race", "tests/arenas/solo.py:solo"
 
@@ -134,7 +135,7 @@ def test_opponents_change_at_a_reset_and_known_ones_without_compiling_again(race
     assert not np.array_equal(played("sprinter"), still)
     np.testing.assert_array_equal(played("idle"), still)
     assert race._shared.team_step(race._rows, race._opponent) is step
-    assert step._cache_size() == 1
+    assert compilations(step) == 1
 
 
 def test_options_of_stable_baselines_change_the_opponent_of_all_rows_once():

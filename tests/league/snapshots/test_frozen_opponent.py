@@ -1,7 +1,5 @@
 """Snapshots and policies' files as opponents in the environments of somebody else's learner."""
 
-import inspect
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +17,7 @@ from league.snapshots.codec import freeze
 from storage.errors import StorageError
 from storage.records import League, Player, Snapshot
 from storage.store import Store
+from tests.arenas.environments.programs import compilations
 
 RACE = "tests/arenas/race.py:race"
 PUCK = "puck:6:2"
@@ -63,8 +62,7 @@ def test_a_snapshot_plays_the_other_team_and_its_successor_needs_no_compilation(
 
     assert (red_moves() > 0.05).all()
     assert (red_moves(league.opponent(f"{place}#red@1")) < -0.05).all()
-    program = env._shared.team_step(env._rows, env._opponent)
-    assert inspect.unwrap(program, stop=lambda each: hasattr(each, "_cache_size"))._cache_size() == 1
+    assert compilations(env._shared.team_step(env._rows, env._opponent)) == 1
 
 
 def test_a_recurrent_snapshot_remembers_through_an_episode_and_no_longer(place):
