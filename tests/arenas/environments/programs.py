@@ -1,4 +1,4 @@
-"""What the tests of environments ask of the programs that are compiled for them."""
+"""Questions of tests about the programs that are compiled for environments."""
 
 import inspect
 from collections.abc import Callable
