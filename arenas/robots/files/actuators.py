@@ -74,7 +74,7 @@ def _found(source: Source) -> dict[str, Drive]:
 def _drive(source: Source, i: int, actuator: str) -> Drive:
     """Return one actuator as a drive; a gear turns units of the motor into those of the joint.
 
-    Where a gear or gain turns the direction around, a motor's or velocity's scale is negative.
+    Where a gear or gain turns the direction around, a motor's or velocity's scale is negative, also as -0.0.
     """
     model = source.model
     gain, bias, gear = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i], float(model.actuator_gear[i, 0])

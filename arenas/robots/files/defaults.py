@@ -6,6 +6,7 @@ joint gives the whole weight for 0.05 m, and at most its effort for 0.1 m. Dampi
 at least a thirtieth of the stiffness.
 """
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -123,7 +124,10 @@ def _with_gains(source: Source, drives: dict[str, Drive], height: float) -> dict
 
 
 def _complete(drive: Drive, inertia: float, load: float, kind: int) -> Drive:
-    """Fill in one drive; `inertia` and `load` are in kg·m² and N·m, of a sliding joint (by its `kind`) in kg and N."""
+    """Fill in one drive; `inertia` and `load` are in kg·m² and N·m, of a sliding joint (by its `kind`) in kg and N.
+
+    A scale that the file does not have keeps its direction by its sign: -0.0 turns the direction around.
+    """
     changes: dict[str, Any] = {}
     if drive.control == "position":
         stiff = load / SAG if kind == SLIDE else load
@@ -136,9 +140,9 @@ def _complete(drive: Drive, inertia: float, load: float, kind: int) -> Drive:
             "scale": drive.scale or (min(SCALE, span / 4) if span else SCALE),
         }  # fmt: skip
     elif drive.control == "velocity":
-        changes = {"kd": drive.kd or 0.1 * load, "scale": drive.scale or SPEEDS[kind]}
+        changes = {"kd": drive.kd or 0.1 * load, "scale": drive.scale or math.copysign(SPEEDS[kind], drive.scale)}
     elif not drive.scale:
-        changes = {"scale": drive.effort or HOLDS * load}
+        changes = {"scale": math.copysign(drive.effort or HOLDS * load, drive.scale)}
     found = replace(drive, **changes)
     numbers = {key: value for key, value in vars(found).items() if key != "control"}
     return replace(found, **{key: _round(value) for key, value in numbers.items()})

@@ -139,6 +139,13 @@ def test_a_turned_gear_turns_what_an_action_does_and_wheels_still_drive_ahead(wr
     assert ahead[0] == ahead[1] > 0  # the right axle points backwards, and its gear turns that around
 
 
+@pytest.mark.parametrize("actuator", ['<motor joint="{joint}"/>', '<velocity joint="{joint}" kv="3"/>'])
+def test_a_turned_gear_turns_what_an_action_does_without_a_control_range_too(write, actuator):
+    as_it_is = derive(write(mjcf(actuator))).drives["fl_knee"].scale
+    turned = derive(write(mjcf(actuator.replace("/>", ' gear="-1"/>')))).drives["fl_knee"].scale
+    assert turned == -as_it_is < 0
+
+
 def test_a_tilted_base_is_turned_upright(write):
     text = mjcf(POSITION).replace('pos="0 0 .6">', 'pos="0 0 .6" quat=".5 .5 .5 .5">')
     turned = text.replace("<freejoint/>", '<freejoint/><frame quat=".5 -.5 -.5 -.5">').replace(
