@@ -1,7 +1,9 @@
 """`league play`: an exhibition to watch, which counts for no rating."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from league.commands.options import Where, parse, positional
 from league.commands.progress_bar import report_kernels
@@ -35,6 +37,8 @@ class PlayOptions(Where):
     """Episodes to play; where rosters allow, every other one with sides swapped."""
     record: str = field(default="1", metadata={"valid": _record})
     """Number of episodes to record, the first ones: a number, or all."""
+    format: Literal["table", "json"] = "table"
+    """Text for people, json for programs."""
 
 
 def play(args: list[str]) -> int:
@@ -48,6 +52,9 @@ def play(args: list[str]) -> int:
         found = pairing(opened, options.a, options.b, *options.others)
         with report_kernels():
             matches = exhibition(found, options.episodes, recordings)
+    if options.format == "json":
+        print(json.dumps(_as_json(found, matches), indent=2))
+        return 0
     print(_ranking(found, matches) if found.others else _result(found, matches))
     for match in matches:
         if match.recording is not None:
@@ -60,7 +67,8 @@ def _result(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
     wins, draws, losses = _counts(matches, found.a.name)
     against = f" against {found.b.name}" if found.b else ""
     counts = f"{wins} won, {draws} drawn, {losses} lost{_voids(matches)}"
-    score = f" {found.a.name} scores {_score(wins, draws, losses)}." if wins + draws + losses else ""
+    measured = _measured(wins, draws, losses)
+    score = f" {found.a.name} scores {score_text(measured)}." if measured else ""
     return f"Exhibition of {found.a.name}{against}: {counts}.{score}"
 
 
@@ -70,10 +78,27 @@ def _ranking(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
     counts = {name: _counts(matches, name) for name in names}
     episodes = sum(match.episodes for match in matches)
     lines = [f"Exhibition of {', '.join(names)}: {episodes} episode{'s' * (episodes != 1)}{_voids(matches)}."]
-    met = [name for name in names if sum(counts[name])]
-    for name in sorted(met, key=lambda name: -(counts[name][0] + counts[name][1] / 2) / sum(counts[name])):
-        lines.append(f"  {name} scores {_score(*counts[name])} against the others.")
+    scores = {name: each for name in names if (each := _measured(*counts[name]))}
+    for name, each in sorted(scores.items(), key=lambda item: -item[1].score):
+        lines.append(f"  {name} scores {score_text(each)} against the others.")
     return "\n".join(lines)
+
+
+def _as_json(found: Pairing, matches: Sequence[Match | RankedMatch]) -> dict[str, Any]:
+    """Return counts and score of each snapshot against the others; of games that are all void the score is null."""
+    names = list(dict.fromkeys(s.name for s in found.players))
+    return {
+        "episodes": sum(match.episodes for match in matches),
+        "voids": sum(match.voids for match in matches),
+        "results": [{"name": name, **_row(*_counts(matches, name))} for name in names],
+        "recorded_matches": [match.id for match in matches if match.recording is not None],
+    }
+
+
+def _row(wins: int, draws: int, losses: int) -> dict[str, Any]:
+    found = _measured(wins, draws, losses)
+    score, low, high = (found.score, found.low, found.high) if found else (None, None, None)
+    return {"wins": wins, "draws": draws, "losses": losses, "score": score, "score_low": low, "score_high": high}
 
 
 def _counts(matches: Sequence[Match | RankedMatch], name: str) -> tuple[int, int, int]:
@@ -81,9 +106,12 @@ def _counts(matches: Sequence[Match | RankedMatch], name: str) -> tuple[int, int
     return wins, draws, losses
 
 
-def _score(wins: int, draws: int, losses: int) -> str:
-    games, (low, high) = wins + draws + losses, score_interval(wins, draws, losses)
-    return score_text(Score((wins + draws / 2) / games, float(low), float(high), games))
+def _measured(wins: int, draws: int, losses: int) -> Score | None:
+    """Return the score with its 95 % interval; None without games."""
+    if not (games := wins + draws + losses):
+        return None
+    low, high = score_interval(wins, draws, losses)
+    return Score((wins + draws / 2) / games, float(low), float(high), games)
 
 
 def _voids(matches: Sequence[Match | RankedMatch]) -> str:

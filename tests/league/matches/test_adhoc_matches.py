@@ -1,5 +1,6 @@
 """Matches that a person asks for: gates that decide, go on and are told again; exhibitions that count for nobody."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -154,6 +155,15 @@ def test_unlike_sides_have_no_gate(tmp_path, capsys):
     code, out, _ = said(capsys, "play", "heads:blue", "heads:red", "--episodes", "3", "--store", str(pennies))
     assert code == 0
     assert "3 won, 0 drawn, 0 lost" in out
+    code, out, _ = said(
+        capsys, "play", "heads:blue", "heads:red", "--episodes", "3", "--format", "json", "--store", str(pennies)
+    )
+    assert code == 0
+    told = json.loads(out)
+    assert (told["episodes"], told["voids"], told["recorded_matches"]) == (3, 0, [])  # games without bodies
+    assert [(r["name"], r["wins"], r["draws"], r["losses"], r["score"]) for r in told["results"]] == [
+        ("heads:blue", 3, 0, 0, 1.0), ("heads:red", 0, 0, 3, 0.0),
+    ]  # fmt: skip
     code, _, err = said(capsys, "play", "heads:blue", "tails:blue", "--store", str(pennies))
     assert code == 2
     assert "cannot sit on two sides" in err
@@ -178,7 +188,8 @@ def test_an_exhibition_is_recorded_and_counts_for_no_rating(tmp_path, capsys):
         assert all(header.outcome.startswith("sprinter wins as") for header in shown)
         assert opened.ladders() == []
         assert not LeagueState.of(opened.store, "main").ladder.payoff.games.any()
-    said(capsys, *asked, "--episodes", "1")
+    _, out, _ = said(capsys, *asked, "--episodes", "1", "--format", "json")
+    assert json.loads(out)["recorded_matches"] == [4]
     seeds = {m.seed for m in log(pucks)}
     assert len(seeds) == 2  # another exhibition is another
     _, table, _ = said(capsys, "matches", "--store", str(pucks))
