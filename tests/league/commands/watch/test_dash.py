@@ -63,6 +63,16 @@ def test_the_page_follows_the_store_and_outlives_a_restart(served, folder, port)
         assert again.stop() == 0
 
 
+def test_without_films_none_is_awaited(folder, port):
+    running = Served(folder, port, "--films", "0")
+    try:
+        body = running.ask("/main").body
+    finally:
+        running.kill()
+    assert "Films were left out by --films 0." in body
+    assert "is being made" not in body
+
+
 def test_nothing_can_be_changed_and_nobody_else_can_read_it(served, folder):
     with Store.open(folder / "league-data") as store:
         before = store.revision("cup")
