@@ -92,10 +92,8 @@ def application(
 
     async def main(_: "Request") -> "Response":
         page = await run_in_threadpool(newest.page)
-        shown = {
-            "X-Version": page.version,
-            "X-Title": quote(visible_lines(page.title)),
-        }  # headers have no letters beyond Latin-1
+        title = quote(visible_lines(page.title))  # headers have no letters beyond Latin-1
+        shown = {"X-Version": page.version, "X-Title": title}
         return HTMLResponse(body(page.sections), headers={**HEADERS, **shown})
 
     async def events(_: "Request") -> "Response":
