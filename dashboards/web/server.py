@@ -7,8 +7,10 @@ from collections.abc import AsyncIterator, Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from dashboards.system.ports import HOST, NAME
+from dashboards.untrusted_text import visible_lines
 from dashboards.web.document import Page, body, document, missing_library, script
 from dashboards.web.match_links import MatchLinks, RecordedMatch
 from storage.errors import StorageError
@@ -90,7 +92,9 @@ def application(
 
     async def main(_: "Request") -> "Response":
         page = await run_in_threadpool(newest.page)
-        return HTMLResponse(body(page.sections), headers={**HEADERS, "X-Version": page.version})
+        title = quote(visible_lines(page.title))  # headers have no letters beyond Latin-1
+        shown = {"X-Version": page.version, "X-Title": title}
+        return HTMLResponse(body(page.sections), headers={**HEADERS, **shown})
 
     async def events(_: "Request") -> "Response":
         async def look() -> tuple[str, str]:

@@ -61,7 +61,7 @@ class Ticker:
 
     def line(self, state: LeagueState, stage: str, workers: Sequence[Worker], width: int = NARROW) -> str:
         """Return the league's status in at most `width` columns: the most important parts, none of them cut."""
-        learners = [w.status for w in _of_this_run(workers) if w.kinds == "train"]
+        learners = [w.status for w in _of_this_run(workers) if "train" in w.kinds.split("+")]
         training = [said for said in learners if "steps" in said]
         past = clock(time.monotonic() - self.began)
         games = state.ladder.payoff.home.sum() + state.ladder.payoff.away.sum()
@@ -73,7 +73,8 @@ class Ticker:
             parts = [stage, awaited, trouble_text(state), known, left, rated, f"{past} so far"]
         elif not training:
             none = "starting workers" if self.config.workers.train else "waiting for a `league worker` that trains"
-            doing = next((str(said["doing"]) for said in learners if "doing" in said), none)
+            doings = sorted((str(said["doing"]) for said in learners if "doing" in said), key="waiting".__eq__)
+            doing = next(iter(doings), none)
             parts = [doing, trouble_text(state), _against_initial(state), f"{past} so far", rated]
         else:
             parts = [

@@ -22,6 +22,7 @@ from storage.records import Match, RankedMatch
 
 REST_SECONDS = 20.0
 """Rest of the thread between two looks at the league, so that a league that plays without a pause costs little."""
+NO_CLIPS = "Films were left out by --films 0."
 LOWEST_PRIORITY = 19  # as of nice(1): a league that trains here comes first
 
 Progress = Callable[[int, int], None]
@@ -75,7 +76,7 @@ class BackgroundClips:
         self._now, self._most = now, most
         self._over, self._revision = threading.Event(), (None, -1)
         self.shown: Sequence[ShownClip] = ()
-        self.note = "The film of the newest match is being made."
+        self.note = "The film of the newest match is being made." if most else NO_CLIPS
 
     @contextmanager
     def running(self) -> Iterator[None]:

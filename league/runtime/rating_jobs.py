@@ -24,6 +24,7 @@ class RatingJobs:
     def __init__(self, worker: "Worker"):
         self._worker = worker
         self._evaluator: MatchEvaluator | None = None
+        self._speed: dict[str, float] = {}  # of the newest batch, for the status
         self._looks_early = worker.config.budget.by_rating and worker.config.rating.share > 0
 
     def compile_early(self) -> None:
@@ -48,10 +49,12 @@ class RatingJobs:
         worker = self._worker
         with self._expendable():
             evaluator = self._compiled()
-        worker.status = {**worker.status, "doing": "rating", "pairs": len(task.lineups)}
+        said = {"doing": "rating", "pairs": len(task.lineups)}  # and no more of a turn that it has trained before
+        worker.status = {**said, **self._speed}
         matches = evaluator.play(worker.store, task)
         rate = sum(match.steps for match in matches) / max(evaluator.seconds, 1e-9)  # of the device, without pauses
-        worker.status = {**worker.status, "steps_per_second": rate}  # a new dict, since the heartbeat reads it
+        self._speed = {"steps_per_second": rate}
+        worker.status = {**said, **self._speed}  # a new dict, since the heartbeat reads it
         worker.retry_while_away(lambda: worker.store.finish(lease, matches=matches))
 
     def others_are_training(self) -> bool:

@@ -22,6 +22,8 @@ _PLACE = re.compile(
     r"(?i)(?:\b(?:[a-z][a-z0-9+.-]*://|(?:sqlite|postgres\w*|mysql|s3|file)(?:\+\w+)?[:/]/*)|://)[^\s'\"`]*"
     r"(?:@|(?:pass|secret|token)\w*=)[^\s'\"`]*"
 )
+# A server's URL with a user name alone, or with a password that is masked already.
+_MASKED = re.compile(r"postgresql(\+\w+)?://[\w.-]+(:\*\*\*)?@[^\s'\"`@]*")
 # postgresql://name:password@host:port,host:port/database?settings
 _HOSTS = re.compile(r"(postgresql(?:\+\w+)?://(?:[^@/?#]*@)?)([^@/?#,]*(?:,[^@/?#,]*)+)(/[^?]*)?(?:\?(.*))?$")
 _SECRET = re.compile(r"(?i)pass|secret|token")
@@ -78,8 +80,15 @@ def display_location(where: str) -> str:
 
 
 def without_passwords(text: str) -> str:
-    """Return any text, e.g. an error that quotes user input, with the passwords in its locations masked."""
-    return _PLACE.sub(lambda found: redacted(found[0]), text)
+    """Return any text, e.g. an error that quotes user input, with the passwords in its locations masked.
+
+    A server's URL without a password stays whole, so that commands and errors that show it can be copied.
+    """
+    return _PLACE.sub(lambda found: found[0] if _has_no_password(found[0]) else redacted(found[0]), text)
+
+
+def _has_no_password(text: str) -> bool:
+    return _MASKED.fullmatch(text) is not None and not _SECRET.search(text)
 
 
 def redacted(text: str) -> str:

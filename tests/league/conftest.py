@@ -172,7 +172,11 @@ def copied_league(bodiless_league, tmp_path) -> None:
 
 @pytest.fixture(scope="module")
 def port() -> int:
-    """One that is free."""
+    return free_port()
+
+
+def free_port() -> int:
+    """Return a port on which nothing listens."""
     with socket.socket() as asked:
         asked.bind(("127.0.0.1", 0))
         return asked.getsockname()[1]

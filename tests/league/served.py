@@ -32,15 +32,15 @@ def _events(stream: http.client.HTTPResponse) -> Iterator[tuple[str, str]]:
 class Served:
     """A server that runs until it is stopped."""
 
-    def __init__(self, folder: Path, port: int):
-        self.folder, self.port = folder, port
+    def __init__(self, folder: Path, port: int, *args: str):
+        self.folder, self.port, self.args = folder, port, args
         self.begin()
 
     def begin(self) -> None:
         """Start it, and wait until it says where it is."""
         said = self.folder / "out.txt"
         before = len(said.read_text()) if said.exists() else 0
-        self.process = start("dash", "--port", str(self.port), cwd=self.folder)
+        self.process = start("dash", "--port", str(self.port), *self.args, cwd=self.folder)
         deadline = time.monotonic() + 60
         while f":{self.port}/" not in said.read_text()[before:]:
             assert self.process.poll() is None, said.read_text()

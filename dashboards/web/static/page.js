@@ -197,6 +197,11 @@ function update(text) {
   showOnly(document.getElementById(current));
 }
 
+// Without a name the server shows the league that was run last, which may be another one by now.
+function name(title) {
+  if (document.title !== title) document.title = document.querySelector("h1").textContent = title;
+}
+
 function follow() {
   const state = document.getElementById("state");
   const main = document.querySelector("main");
@@ -212,6 +217,7 @@ function follow() {
         const answer = await fetch("main", { cache: "no-store" });
         if (!answer.ok) throw new Error(answer.statusText);
         update(await answer.text());
+        name(decodeURIComponent(answer.headers.get("X-Title")));
         main.dataset.version = answer.headers.get("X-Version");
         if (main.dataset.version !== wanted) await new Promise((done) => setTimeout(done, 500));
       }

@@ -69,7 +69,7 @@ def thin(args: list[str]) -> int:
     if options.format == "json":
         print(json.dumps({"store": store.where, "found": rows, "removed": done and asdict(done)}, indent=2))
     elif not removable:
-        print(f"{store.where}: there is nothing to remove.")
+        print(f"{store.where}: there is nothing to remove that is older than {options.age} (--age).")
     elif done is None:
         print("Nothing was removed: this was a dry run.")
     else:

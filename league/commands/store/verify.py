@@ -70,7 +70,9 @@ def _table(report: VerificationReport) -> str:
     parts.append(", ".join(f"{counts[kind]:,} {kind}" for kind in ORDER if counts[kind]) + ".")
     if counts["orphaned"]:
         damage = "" if report.damaged else "Nothing is missing or corrupt. "
-        parts.append(f"{damage}What is orphaned takes space and does no harm: `league thin` removes it.")
+        parts.append(
+            f"{damage}What is orphaned takes space and does no harm: `league thin` removes it when it is a day old."
+        )
     return "\n".join(parts)
 
 

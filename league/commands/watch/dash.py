@@ -1,10 +1,13 @@
 """`league dash`: a league as a page in a browser of this machine, which is updated while the league runs."""
 
+import signal
+import sys
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 
 from league.commands.options import parse
 from league.commands.watch.page_options import PageOptions
+from league.system import exit_codes
 
 PORT = 8710
 
@@ -18,7 +21,7 @@ class DashOptions(PageOptions):
 
 
 def dash(args: list[str]) -> int:
-    """Serve the page of a league until Ctrl-C."""
+    """Serve the page of a league until Ctrl-C or SIGTERM."""
     what = (
         "A league as a page that follows it, in a browser of this machine: what league report writes, kept up to date."
     )
@@ -33,6 +36,8 @@ def dash(args: list[str]) -> int:
     from league.queries.query import Open
     from league.queries.recordings import RecordingQuery, chosen, load
 
+    # uvicorn repeats the signal that has ended it: without a handler the viewer's folder would stay.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(exit_codes.DONE))
     with ExitStack() as stack:
         opened = stack.enter_context(options.open())
         listener = stack.enter_context(listen(options.port))

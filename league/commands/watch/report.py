@@ -53,10 +53,10 @@ def report(args: list[str]) -> int:
 def _films(opened: Open, most: int, ladder: Ladder) -> "list[FilmBlock]":
     """Return films that need no file; or one without a film, whose caption says why there is none."""
     from dashboards.web.document import FilmBlock
-    from league.matches.match_clips import make_clips
+    from league.matches.match_clips import NO_CLIPS, make_clips
 
     if not most:
-        return [FilmBlock("Films were left out by --films 0.")]
+        return [FilmBlock(NO_CLIPS)]
     try:
         with Progress("league report") as progress:
             made = make_clips(opened, most, partial(progress.tell, "pictures of a film"), ladder)

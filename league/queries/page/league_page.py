@@ -7,6 +7,7 @@ The page has the same data as the commands `ratings`, `payoff`, `explain`, `curv
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
 from dashboards.tables import Column, render
 from dashboards.web import figures
@@ -41,10 +42,13 @@ SHORT = 12  # hexadecimal digits of a digest that tell snapshots apart
 
 
 def version(opened: Open) -> str:
-    """Return a text that changes whenever the page does: with the store, the league's manager and its workers."""
+    """Return a text that changes whenever the page does: with the store, the league's manager and its workers.
+
+    It has only ASCII characters, because it is sent as a header of HTTP.
+    """
     doing = sorted(f"{w.id} {w.status.get('doing', '')}" for w in processes(opened.store, opened.league))
     digest = hashlib.sha256("\n".join([leader(opened.store, opened.league) or "", *doing]).encode()).hexdigest()
-    return f"{opened.league}:{opened.store.revision(opened.league)}:{digest[:SHORT]}"
+    return f"{quote(opened.league, safe='')}:{opened.store.revision(opened.league)}:{digest[:SHORT]}"
 
 
 def page(

@@ -93,6 +93,14 @@ def test_a_place_without_a_scheme_is_recognised():
 @pytest.mark.parametrize("place", ["s3://bucket/prefix", "postgresql://league@host/db", "runs/a=b", "/data/blobs"])
 def test_a_place_without_a_password_is_shown_whole(place):
     assert display_location(place) == place
+    assert without_passwords(f"No league store at {place}: no.") == f"No league store at {place}: no."
+
+
+def test_a_hidden_password_hides_no_more():
+    where = display_location(f"postgresql://league:{SECRET}@a:1,b/db?sslmode=require")
+    assert where == "postgresql://league:***@a:1,b/db?sslmode=require"
+    assert without_passwords(f"{where}: no.") == f"{where}: no."
+    assert without_passwords(f"{where}&x={SECRET}@c") != f"{where}&x={SECRET}@c"  # perhaps a part of a password
 
 
 @pytest.mark.parametrize(

@@ -94,3 +94,21 @@ def test_matches_that_end_training_are_compiled_once_when_players_have_learnt(sc
     assert evaluator is (made or evaluator)
     assert evaluator._play is not None
     assert len(evaluator._play._ready) == 1
+
+
+def test_a_worker_that_plays_says_nothing_of_the_turn_that_it_trained_before(store):
+    config = replace(CONFIG, rating=replace(CONFIG.rating, worlds=16, pairings=1))
+    spec = WorkerSpec(RunSpec(store.where, None, ""), ("train", "match"), 0, os.getppid())
+    both = Worker(store, config, spec, threading.Event())
+
+    def plays(name: str) -> None:
+        store.queue([encode(LEAGUE, RatingMatch((("blue@0", "red@0"),), 5), [name])])
+        both._run_job(*store.claim(LEAGUE, ["match"], "me", 60))
+        assert set(both.status) == {"doing", "pairs", "steps_per_second"}
+
+    asked(store)
+    both._run_job(*claim(store))  # the first snapshots
+    plays("compiled first")
+    both._run_job(*claim(store))
+    assert both.status["learners"] == ["blue", "red"]
+    plays("right after a turn")

@@ -80,6 +80,16 @@ def test_a_manager_without_train_workers_waits_for_those_of_others():
     assert waits.line(league_state(), "training", [MANAGER]).startswith("waiting for a `league worker` that trains")
 
 
+def test_a_worker_that_joined_for_all_jobs_learns_too():
+    own, joined = worker(doing="waiting"), worker("train+match", **SAID)
+    line = ticker().line(league_state(), "training", [MANAGER, own, joined])
+    assert line.startswith("blue+red learn · iteration 640 · 5,242,880 steps")
+    joined = worker("train+match", doing="compiling the training rollout")
+    assert ticker().line(league_state(), "training", [MANAGER, own, joined]).startswith("compiling the training")
+    idle = [MANAGER, worker("match", doing="waiting")]
+    assert ticker().line(league_state(), "training", idle).startswith("starting workers")
+
+
 def test_after_a_restart_no_dead_workers_words_are_shown():
     gone = next(pid for pid in range(4_000_000, 5_000_000) if not os.path.exists(f"/proc/{pid}"))
     old = worker(started=5.0, **SAID)

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import sqlite3
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -256,3 +257,13 @@ def test_blobs_among_which_another_store_has_its_mark_are_not_thinned_whatever_i
         assert "another store keeps its blobs in" in err
         assert err.count("\n") == 1
     assert blob(folder, digest).is_file()
+
+
+def test_an_orphan_of_some_hours_is_told_when_it_can_go(folder, capsys):
+    with Store.open(folder) as store:
+        path = blob(folder, store.blobs.put(b"young"))
+    os.utime(path, times=(time.time() - 7200,) * 2)
+    code, out, _ = ran(capsys, "verify")
+    assert (code, "`league thin` removes it when it is a day old" in out.replace("\n", " ")) == (1, True)
+    assert "there is nothing to remove that is older than 1d (--age)" in ran(capsys, "thin")[1].replace("\n", " ")
+    assert "Removed 5 bytes" in ran(capsys, "thin", "--age", "1h")[1]

@@ -7,8 +7,10 @@ import pytest
 
 from league.commands.cli import main
 from storage.recordings.recording import to_bytes
+from storage.records import League
 from storage.store import Store
 from tests.dashboards.cars import cars
+from tests.league.conftest import free_port
 from tests.league.leagues import filled, finish, match
 from tests.league.served import Served
 
@@ -280,3 +282,23 @@ def test_films_play_as_served_and_in_a_report(seen, browser, folder, monkeypatch
 
 def rgb(colour: str) -> str:
     return f"rgb({', '.join(str(int(colour[i : i + 2], 16)) for i in (1, 3, 5))})"
+
+
+def test_a_page_takes_the_name_of_the_league_that_is_run_next(browser, tmp_path):
+    name = "\u043a\u0443\u0431\u043e\u043a"  # a cup, in letters that no header of HTTP has
+    with filled(tmp_path / "league-data") as store:
+        running = Served(tmp_path, free_port())
+        try:
+            seen = Seen(browser)
+            seen.tab.goto(f"http://127.0.0.1:{running.port}/")
+            expect(seen.tab).to_have_title("League cup")
+            store.create_league(League(name, ""))
+            store.start_run(name, "", "here", {})
+            seen.show("Players")
+            expect(seen.tab.locator("#now-0")).to_contain_text(f"League {name}")
+            expect(seen.tab).to_have_title(f"League {name}")
+            expect(seen.tab.get_by_role("heading", level=1)).to_have_text(f"League {name}")
+            assert seen.complaints == []
+            seen.context.close()
+        finally:
+            running.kill()

@@ -12,6 +12,7 @@ import rerun as rr
 from storage.recordings.recording import to_bytes
 from storage.store import Store
 from tests.dashboards.cars import cars
+from tests.league import conftest
 from tests.league.conftest import call
 from tests.league.leagues import filled, finish, match
 from tests.league.served import Served
@@ -63,6 +64,16 @@ def test_the_page_follows_the_store_and_outlives_a_restart(served, folder, port)
         assert again.stop() == 0
 
 
+def test_without_films_none_is_awaited(folder, port):
+    running = Served(folder, port, "--films", "0")
+    try:
+        body = running.ask("/main").body
+    finally:
+        running.kill()
+    assert "Films were left out by --films 0." in body
+    assert "is being made" not in body
+
+
 def test_nothing_can_be_changed_and_nobody_else_can_read_it(served, folder):
     with Store.open(folder / "league-data") as store:
         before = store.revision("cup")
@@ -111,6 +122,22 @@ def test_a_match_opens_in_a_viewer_that_may_read_it_and_nobody_else(served, fold
     assert served.stop() == 0
     with pytest.raises(URLError):
         urlopen(viewer)
+
+
+def test_sigterm_leaves_nothing_of_a_viewer(folder, port, monkeypatch):
+    (temporary := folder / "temporary").mkdir()
+    monkeypatch.setattr(conftest, "ENVIRONMENT", {**conftest.ENVIRONMENT, "TMPDIR": str(temporary)})
+    with Store.open(folder / "league-data") as store:
+        finish(store, matches=[match("blue@4", "red@4", 2, 0, recording=store.blobs.put(to_bytes(cars())))])
+    running = Served(folder, port, "--films", "0")
+    try:
+        assert running.ask("/match/2").status == 303
+        assert list(temporary.iterdir())
+        running.process.terminate()
+        assert running.process.wait(60) == 0
+    finally:
+        running.kill()
+    assert list(temporary.iterdir()) == []
 
 
 def refused(folder, *args: str) -> str:
