@@ -23,7 +23,7 @@ from league.system import exit_codes, provenance
 MODULE = "league.commands.run.child_process"
 """The module that the process runs; above this room, and so only named."""
 BY_CTRL_C = (130, -signal.SIGINT)
-"""How the process ends by a signal before it can stop cleanly; the second before Python has its handler."""
+"""Exit codes of a process that Ctrl-C ended before it could stop cleanly; the second before Python has its handler."""
 TICK = 0.5  # seconds between two looks at the process while it prints nothing
 
 
