@@ -62,6 +62,11 @@ def settings(name: str) -> "Settings":
     if name.endswith(".py"):
         each = ", ".join(f"{name}:{s.name}" for s in _module(name).ARENAS)
         raise ArenaError(f"{name} is a file: name an arena in it: {each}")
+    if name.endswith(".toml"):
+        raise ArenaError(
+            f"{name} is a file of settings, and an arena is asked for: give its arena.name, and to a command its other"
+            " settings as flags, such as --arena.rules.episode"
+        )
     near = difflib.get_close_matches(own, found, 1)
     hint = f": did you mean {near[0]}?" if near else ""
     raise ArenaError(f"unknown arena {name!r}{hint} (arenas: {', '.join(sorted(found))}; your own: file.py:name)")

@@ -259,8 +259,11 @@ def _encode(pictures: Iterator[Any], size: tuple[int, int], rate: int, path: Pat
             with suppress(BrokenPipeError), process.stdin:
                 for picture in pictures:
                     process.stdin.write(picture.tobytes())
-        finally:
             status = process.wait()
+        except BaseException:  # a notebook's stop button reaches this process alone, and would leave a zombie
+            process.kill()
+            process.wait()
+            raise
         said.seek(0)
         if status:
             raise ViewerError(f"ffmpeg made no film: {said.read().decode(errors='replace').strip()[-300:]}")

@@ -22,6 +22,8 @@ from league.system import exit_codes, provenance
 
 MODULE = "league.commands.run.child_process"
 """The module that the process runs; above this room, and so only named."""
+BY_CTRL_C = (130, -signal.SIGINT)
+"""Exit codes of a process that Ctrl-C ended before it could stop cleanly; the second before Python has its handler."""
 TICK = 0.5  # seconds between two looks at the process while it prints nothing
 
 
@@ -57,7 +59,7 @@ class ChildRun:
             stderr=subprocess.STDOUT, start_new_session=True, pass_fds=(writing,), env={**os.environ, **environment},
         )  # fmt: skip
         os.close(writing)
-        self._answer = os.fdopen(reading, encoding="utf-8")
+        self._answer, self._interrupted = os.fdopen(reading, encoding="utf-8"), False
         self._texts: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -89,15 +91,21 @@ class ChildRun:
     def interrupt(self) -> None:
         """Ask the run to finish its iteration and to stop, as Ctrl-C does; a second time, to stop at once."""
         if self.running():
+            self._interrupted = True
             self._process.send_signal(signal.SIGINT)
 
     def end(self) -> None:
-        """Wait for the end. Raises ConfigError or RunError, one line, if the run failed."""
+        """Wait for the end. Raises ConfigError or RunError, one line, if the run failed.
+
+        Raises KeyboardInterrupt if `interrupt` ended it before it began, or at once.
+        """
         code = self._process.wait()
         text = self._answer.read()
         self.close()
         if code == 0:
             return
+        if self._interrupted and code in BY_CTRL_C:
+            raise KeyboardInterrupt
         found = json.loads(text) if text else {}
         message = found.get("error") or f"the process of the run ended with exit code {code}"
         if found.get("kind") == ConfigError.__name__:

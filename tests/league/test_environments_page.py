@@ -14,12 +14,12 @@ import league
 from agents.policy.networks import Actor
 from agents.settings import Architecture
 from league.commands import cli
+from league.config.presets import preset
 from league.snapshots.codec import freeze
 from storage.records import League, Player, Snapshot
 from storage.store import Store
 
 PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
-ROVER = "leatherback:20:2"
 
 
 def blocks(tutorial: str) -> list[str]:
@@ -44,21 +44,27 @@ def run(code: str, names: dict, **shorter: object) -> None:
 
 
 @pytest.fixture
-def quickstart(tmp_path, monkeypatch):
-    """A folder with a store in which blue has a snapshot, as after the quick start."""
+def duel(tmp_path, monkeypatch):
+    """A folder with a store in which blue has a snapshot, as after the preset that the page runs."""
+    (name,) = re.findall(r"`league run --preset (\S+)`", PAGE.read_text("utf-8"))
+    config = preset(name)
+    (blue, *_) = config.arena.build().teams
     torch.manual_seed(0)
-    policy = Actor(20, 2, Architecture(hidden=(8,)), initial_std=0.5).state_dict()
+    policies = []
+    for agent in blue.agents:
+        actor = Actor(agent.observation_size, agent.action_size, Architecture(hidden=(8,)), initial_std=0.5)
+        policies.append({name: tensor.numpy() for name, tensor in actor.state_dict().items()})
     with Store.open(tmp_path / "league-data", create=True) as store:
-        store.create_league(League("quickstart", ""))
-        store.add_players([Player("quickstart", "blue", 0, "main", ROVER)])
-        digest = store.blobs.put(freeze([{name: tensor.numpy() for name, tensor in policy.items()}]))
-        store.add_snapshots([Snapshot("quickstart", "blue@64", digest, ROVER, "blue", iteration=64)])
+        store.create_league(League(config.league, ""))
+        store.add_players([Player(config.league, "blue", 0, "main", blue.roster)])
+        digest = store.blobs.put(freeze(policies))
+        store.add_snapshots([Snapshot(config.league, "blue@64", digest, blue.roster, "blue", iteration=64)])
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.mark.slow
-def test_a_rover_learns_by_the_ppo_of_another_library_and_becomes_a_file(quickstart, capsys):
+def test_a_rover_learns_by_the_ppo_of_another_library_and_becomes_a_file(duel, capsys):
     train, test, export = blocks("ppo")
     names: dict = {}
     train = train.replace("n_steps=64, batch_size=1024", "n_steps=16, batch_size=32")
@@ -69,7 +75,7 @@ def test_a_rover_learns_by_the_ppo_of_another_library_and_becomes_a_file(quickst
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # torch advises its exporter that needs onnxscript
         run(export, names)
-    session = onnxruntime.InferenceSession(quickstart / "rover.onnx", providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(duel / "rover.onnx", providers=["CPUExecutionProvider"])
     seen = np.random.default_rng(0).normal(size=(3, 20)).astype(np.float32)
     (actions,) = session.run(["actions"], {"observations": seen})
     expected, _ = names["learner"].predict(seen, deterministic=True)
@@ -78,7 +84,7 @@ def test_a_rover_learns_by_the_ppo_of_another_library_and_becomes_a_file(quickst
     bring, _ = commands("ppo")
     with pytest.raises(SystemExit, match=r"^0$"):
         cli.main(bring)
-    assert "rover of league quickstart is rover.onnx (leatherback:20:2)" in capsys.readouterr().out
+    assert "rover of league duel is rover.onnx (leatherback:20:2)" in capsys.readouterr().out
     assert league.opponent("league-data#rover").snapshot.origin == "imported"
 
 

@@ -12,7 +12,6 @@ from league.runs.bench.games import BenchLeague, row_of
 from league.runs.bench.metrics import DIGITS
 from league.runs.bench.partial_rows import PartialRows, Row
 from league.runs.bench.tasks import Task
-from league.runtime.manager import ManagerError
 from matchmaking.ratings.scores import score_interval
 
 TIMES = (1, 3)
@@ -26,7 +25,7 @@ def attacks(
     """Train attackers of the league's policies; return the rows of their games, the attacker as A.
 
     Each seed is an attacker of its own, against each policy. Attacks that `partial` has are not made again, and it gets
-    the others. Raises ManagerError if an attacker cannot learn, or was stopped.
+    the others. Raises ManagerError if an attacker cannot learn, KeyboardInterrupt where Ctrl-C stopped one.
     """
     rows = []
     for name, seed, times in product(policies, seeds, TIMES):
@@ -36,7 +35,7 @@ def attacks(
             chosen = attack(league.opened, name, Budget(None, times * steps, "0s"), "scratch", seed)
             attacker = train_attacker(league.opened, str(league.folder), chosen)
             if attacker is None:
-                raise ManagerError(f"the attacker of {name} was stopped: attacks that ended are kept")
+                raise KeyboardInterrupt  # its manager took the signal, and ended its workers
             match = measure(bring_in(league.opened, attacker), games)
             row = partial.add({**row_of(match), **about, "attacker_steps": attacker.step})
         rows.append(row)

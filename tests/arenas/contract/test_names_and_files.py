@@ -71,6 +71,7 @@ def test_a_file_that_fails_is_run_again(tmp_path):
         ("nowhere.such:duel", "^no arena module 'nowhere.such': give a file"),
         ("json:duel", r"^json lists no arenas: it needs ARENAS = "),
         (str(RACE), r"race\.py is a file: name an arena in it: .*race\.py:race$"),
+        ("my/league.toml", r"^my/league\.toml is a file of settings, and an arena is asked for: give its arena\.name"),
         (f"{RACE}:rice", r"^unknown arena .*: did you mean race\? \(arenas: race; your own: file.py:name\)$"),
     ],
 )

@@ -1,5 +1,7 @@
 """Pictures and films without a graphics driver: bodies where they are, in their players' colours, moment by moment."""
 
+import os
+import signal
 import subprocess
 from dataclasses import replace
 
@@ -141,3 +143,21 @@ def test_what_cannot_be_made_is_told_and_leaves_nothing(shown, tmp_path, monkeyp
     with pytest.raises(ViewerError, match=r"pip install 'robot-league\[video\]'"):
         save_film(shown, tmp_path / "m.mp4", 10, (0, 1), lambda *_: None)
     assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_ends_ffmpeg_too(shown, tmp_path, monkeypatch):
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text(
+        f"#!/bin/sh\necho $$ > {tmp_path}/pid\ncat > /dev/null\nsleep 0.5\nkill -INT {os.getpid()}\nexec sleep 30\n"
+    )
+    encoder.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            save_film(shown, tmp_path / "m.webm", 10, (0, 0.2), lambda *_: None)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    with pytest.raises(ProcessLookupError):  # neither running nor a zombie
+        os.kill(int((tmp_path / "pid").read_text()), 0)
+    assert not (tmp_path / "m.webm").exists()

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from league.config.experiment import Config
+from league.runs.child_run import ChildRun
 from league.state.liveness import leader
 from tests.league.conftest import ENVIRONMENT, wait_for
 
@@ -20,7 +22,6 @@ try:
 except KeyboardInterrupt:
     print("interrupted", league.open("league-data").players().now.tolist())
 """
-pytestmark = pytest.mark.slow
 
 
 def begin(folder: Path) -> subprocess.Popen:
@@ -35,6 +36,18 @@ def learnt(store) -> bool:
     return any(each.iteration > 2 for each in store.newest_checkpoints("long").values())
 
 
+def test_ctrl_c_before_it_has_begun_is_no_fault_of_the_run(tmp_path):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the process inherits what is ignored
+    try:
+        child = ChildRun(str(tmp_path), Config())
+        child.interrupt()
+        with pytest.raises(KeyboardInterrupt):
+            child.end()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.slow
 def test_ctrl_c_lets_it_finish_its_iteration(tmp_path):
     process = begin(tmp_path)
     wait_for(tmp_path, learnt)
@@ -45,6 +58,7 @@ def test_ctrl_c_lets_it_finish_its_iteration(tmp_path):
     assert "interrupted ['stopped', 'stopped']" in said
 
 
+@pytest.mark.slow
 def test_it_stops_when_the_script_is_gone(tmp_path):
     process = begin(tmp_path)
     wait_for(tmp_path, learnt)

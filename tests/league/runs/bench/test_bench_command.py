@@ -16,7 +16,7 @@ import pytest
 from dashboards.web.document import document
 from league.commands import cli
 from league.matches.exact_exploitability import KnownGame
-from league.runs.bench import bench_page, entrants, entry_file, references, rerating
+from league.runs.bench import attackers, bench_page, entrants, entry_file, references, rerating
 from league.runs.bench.tasks import TASKS
 from tests.league.conftest import said, start
 from tests.league.runs.bench.files import network
@@ -276,6 +276,15 @@ def test_what_ctrl_c_stops_goes_on(bad, tmp_path):
     assert kept["rows"] == rows[: len(kept["rows"])]
     assert {row["b"] for row in rows if row["a"] == "e1"} == {"idle", "pusher"}
     assert {each.name for each in tmp_path.iterdir()} == {out.name, home.name}
+
+
+def test_an_attack_that_ctrl_c_stops_goes_on_too(bad, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(attackers, "train_attacker", lambda *_: None)  # as where its manager took the signal
+    words = ["bench", SUMO, "--entry", bad["one"], "--games", "8", "--against", "idle", "--attack", "1"]
+    code, _, err = said(capsys, *words, "--out", str(tmp_path / "x.json"))
+    assert code == 130
+    assert "x.json.part, and the same command goes on from there" in err
+    assert len(json.loads((tmp_path / "x.json.part").read_text())["rows"]) == 1
 
 
 def test_tasks_are_listed_and_described(capsys):
