@@ -6,6 +6,7 @@ bounds. In a field's metadata, `positional` marks a word without a flag, with `m
 """
 
 import difflib
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import MISSING, Field, dataclass, field
@@ -16,10 +17,18 @@ from league.config.build import build, from_text
 from league.config.schema import ConfigError, hints, settings
 from league.queries.query import Open
 from matchmaking.ratings.sprt import SequentialTest
+from storage.database.urls import display_location
 from storage.store import Store
 
 T = TypeVar("T")
 STORE = "league-data"
+
+
+def place_flags(store: str, blobs: str | None = None) -> str:
+    """Return the flags with which another command finds this store, without passwords; empty for the default store."""
+    given = [("--store", store)] if store != STORE else []
+    given += [("--blobs", blobs)] if blobs else []
+    return shlex.join(word for flag, place in given for word in (flag, display_location(place)))
 
 
 @dataclass(frozen=True)

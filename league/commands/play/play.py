@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from league.commands.options import Where, parse, positional
+from league.commands.options import Where, parse, place_flags, positional
 from league.commands.progress_bar import report_kernels
 from league.config.schema import ConfigError
 from league.matches.adhoc_matches import Pairing, exhibition, pairing
@@ -58,7 +58,7 @@ def play(args: list[str]) -> int:
     print(_ranking(found, matches) if found.others else _result(found, matches))
     for match in matches:
         if match.recording is not None:
-            print(f"  league watch {match.id}")
+            print(f"  league watch {match.id} {place_flags(options.store, options.blobs)}".rstrip())
     return 0
 
 

@@ -60,7 +60,7 @@ def manage(
         if config.stages:
             _run_stages(store, spec, config, on_lead, warm_worker)
         elif _run_league(store, spec, config, prepared, on_lead, warm_worker) != "stopped":
-            print(f"\n{summary(config, curriculum.stage_state(store, config))}")
+            print(f"\n{summary(config, curriculum.stage_state(store, config), spec.store)}")
             _refuse_set_aside(store, config)
             _refuse_paused(store, config)
     return 0
@@ -179,7 +179,7 @@ def _run_stage(
             f" `league status --league {stage.league}` tells why"
         )
     if is_last:
-        print(f"\n{summary(stage, league_state)}")
+        print(f"\n{summary(stage, league_state, where)}")
         _refuse_paused(store, stage)
     else:
         print(f"Stage {config.stages[number].name} has ended: {why}.{_handed_on(stage, league_state)}\n")

@@ -78,7 +78,7 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
     config = request.config
     with Store.open(spec.store, blobs=spec.blobs) as store:
         if config.stages:
-            done = _finished_curriculum(store, config)
+            done = _finished_curriculum(store, spec.store, config)
             if done is not None:
                 print(done)
                 return 0
@@ -87,7 +87,7 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
         config = _with_budget(request, state)
         paused = any(player.paused is not None for player in state.players)  # the manager resumes them
         if trained_enough(config, state) and not paused and not rating_goes_on(config, state):
-            print(f"{summary(config, state)}\n\n{_budget_had(config)}")
+            print(f"{summary(config, state, spec.store)}\n\n{_budget_had(config)}")
             return 0
     if config != request.config:
         spec = RunSpec.of(spec.store, config)
@@ -103,7 +103,7 @@ def _start(
         return manage(spec, config, prepared, warm_worker=warm_worker)
 
 
-def _finished_curriculum(store: Store, config: Config) -> str | None:
+def _finished_curriculum(store: Store, where: str, config: Config) -> str | None:
     """Return the message about a curriculum whose last stage has ended; None if something is left to do."""
     last = configuration.stage(config, len(config.stages) - 1)
     state = curriculum.stage_state(store, last)
@@ -111,7 +111,7 @@ def _finished_curriculum(store: Store, config: Config) -> str | None:
     if why is None or rating_goes_on(last, state):
         return None
     more = f"`league run --league {last.league}` goes on with the last stage without a budget"
-    return f"{summary(last, state)}\n\nThe last stage of league {config.league} has ended: {why}; {more}."
+    return f"{summary(last, state, where)}\n\nThe last stage of league {config.league} has ended: {why}; {more}."
 
 
 def _refuse_if_running(where: str, config: Config) -> None:

@@ -2,6 +2,7 @@
 
 from dashboards.text import clock, wrapped
 from league.commands.ladder_text import ratings_table
+from league.commands.options import place_flags
 from league.commands.status_line import trouble_text
 from league.config.experiment import Config
 from league.queries.query import score_text
@@ -12,7 +13,7 @@ from league.state.void_rates import warnings as void_warnings
 from matchmaking.ratings.comparison import compare_snapshots
 from storage.records import Snapshot
 
-NEXT = """Next:
+NEXT = """\
   league ratings     who is better, and how sure that is
   league watch       a recorded match in 3D (league watch --shot match.png where there is no display)
   league dash        all of it as a page, with films of matches
@@ -22,12 +23,14 @@ RIVALS = (
 )
 
 
-def summary(config: Config, state: LeagueState) -> str:
+def summary(config: Config, state: LeagueState, store: str) -> str:
     """Return the ladder, each newest snapshot's scores against its reference opponents, and the next commands."""
     table = ratings_table(state.ladder, state.snapshots, state.players, config.rating.void_limit)
     trouble = [f"{text}: `league status` tells why."] if (text := trouble_text(state)) else []
     voids = ["\n".join(wrapped(text) for text in void_warnings(state.voids))] if state.voids else []
-    return "\n\n".join([table, *_scores_of_newest(config, state), *_who_is_better(state), *trouble, *voids, NEXT])
+    place = place_flags(store, config.storage.blobs)
+    following = f"Next{place and f', each with {place}'}:\n{NEXT}"
+    return "\n\n".join([table, *_scores_of_newest(config, state), *_who_is_better(state), *trouble, *voids, following])
 
 
 def _who_is_better(state: LeagueState) -> list[str]:

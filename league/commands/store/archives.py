@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from league.commands.options import STORE, Where, parse, positional
+from league.commands.options import STORE, Where, parse, place_flags, positional
 from league.commands.progress_bar import Progress
 from league.config.sections import check_name
 from league.snapshots import archive
@@ -92,9 +92,7 @@ def _summary(done: archive.Moved) -> str:
 
 
 def _flags(where: Where) -> str:
-    given = [("--store", display_location(where.store))] if where.store != STORE else []
-    given += [("--blobs", display_location(where.blobs))] if where.blobs else []
-    return shlex.join(word for pair in [*given, ("--league", str(where.league))] for word in pair)
+    return f"{place_flags(where.store, where.blobs)} {shlex.join(['--league', str(where.league)])}".lstrip()
 
 
 def _together(args: Sequence[str], flag: str) -> list[str]:

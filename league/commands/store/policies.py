@@ -1,12 +1,11 @@
 """`league export` and `league import`: a frozen policy as a file, which any league of its arena can import."""
 
-import shlex
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from league.commands.options import STORE, Where, parse, positional, spelt
+from league.commands.options import Where, parse, place_flags, positional, spelt
 from league.config.schema import ConfigError
 from league.config.sections import POLICY_FILE, check_name
 from league.queries.query import Open
@@ -19,7 +18,6 @@ from league.snapshots.programs import exporting
 from league.snapshots.programs.kinds import kind_of
 from matchmaking.ratings.ladder import Ladder
 from storage.blobs.files import new_file, require_file_name
-from storage.database.urls import display_location
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,8 +167,8 @@ def _import_program(options: ImportOptions, kind: str) -> int:
 
 
 def _how_rated(options: ImportOptions, league: str) -> str:
-    where = shlex.join(["--store", display_location(options.store)]) + " " if options.store != STORE else ""
-    return f"Its rating matches are played by `league run {where}--league {league}`."
+    where = f"{place_flags(options.store)} --league {league}".lstrip()
+    return f"Its rating matches are played by `league run {where}`."
 
 
 def _need(value: str | None, what: str, command: str) -> None:

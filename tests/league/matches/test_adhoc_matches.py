@@ -175,7 +175,7 @@ def test_an_exhibition_is_recorded_and_counts_for_no_rating(tmp_path, capsys):
     code, out, _ = said(capsys, *asked, "--episodes", "5", "--record", "3")
     assert code == 0
     assert "Exhibition of sprinter against idle: 5 won, 0 drawn, 0 lost." in out
-    assert [line.strip() for line in out.splitlines()[1:]] == [f"league watch {n}" for n in (1, 2, 3)]
+    assert [line.strip() for line in out.splitlines()[1:]] == [f"league watch {n} --store {pucks}" for n in (1, 2, 3)]
     with Open(Store.open(pucks)) as opened:
         matches = opened.store.matches("main")
         assert [(m.purpose, m.wins, m.side_wins) for m in matches] == [

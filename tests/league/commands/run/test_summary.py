@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from league.commands import status_line
+from league.commands.options import STORE
 from league.commands.run import summary as module
 from league.commands.run.summary import summary
 from league.commands.status_line import Ticker
@@ -19,6 +20,7 @@ from matchmaking.ratings.ladder import Ladder
 from storage.records import Job, Phase, Worker
 from tests.league.leagues import match, player, snapshot
 
+QUICKSTART = presets.preset("quickstart")
 HERE, ME = socket.gethostname(), os.getpid()
 PLAYERS = [player(name, team) for team, name in enumerate(("blue", "red"))]
 SAID = {
@@ -41,7 +43,7 @@ def league_state(*log, players=PLAYERS, **given) -> LeagueState:
 
 
 def ticker(**budget) -> Ticker:
-    return Ticker(replace(presets.preset("quickstart"), budget=Budget(**budget)))
+    return Ticker(replace(QUICKSTART, budget=Budget(**budget)))
 
 
 MANAGER = worker("manager")
@@ -136,21 +138,30 @@ def test_what_the_league_goes_on_without_is_said():
     state = league_state(*PLAYED, players=players, jobs=(bad, replace(bad, state="queued")))
     line = ticker(training_time="5m").line(state, "training", [worker(**SAID)])
     assert line.startswith("blue@64 97 %, red@64 96 % vs initial · 1:00 left · 1 job set aside, red paused")
-    assert "1 job set aside, red paused: `league status` tells why." in summary(presets.preset("quickstart"), state)
-    assert "league status" not in summary(presets.preset("quickstart"), league_state(*PLAYED))
+
+    assert "1 job set aside, red paused: `league status` tells why." in summary(QUICKSTART, state, STORE)
+    assert "league status" not in summary(QUICKSTART, league_state(*PLAYED), STORE)
+
+
+@pytest.mark.parametrize(
+    ("store", "said"),
+    [
+        (STORE, "\nNext:\n  league ratings "),
+        ("my runs", "\nNext, each with --store 'my runs':\n  league ratings "),
+        ("postgresql://me:secret@host/db", "\nNext, each with --store 'postgresql://me:***@host/db':\n"),
+    ],
+)
+def test_the_next_commands_name_the_store(store, said):
+    assert said in summary(QUICKSTART, league_state(*PLAYED), store)
 
 
 def test_one_team_tells_its_success():
     log = [match("blue@64", None, 30, 10), match("blue@0", None, 1, 39)]
     line = ticker().line(league_state(*log, players=PLAYERS[:1]), "training", [worker(**SAID)])
     assert line.startswith("blue@64 75 % success · ")
-    assert "blue@64 succeeds: 75.0 % (" in summary(
-        presets.preset("quickstart"), league_state(*log, players=PLAYERS[:1])
-    )
+    assert "blue@64 succeeds: 75.0 % (" in summary(QUICKSTART, league_state(*log, players=PLAYERS[:1]), STORE)
     early = [match("blue@1", None, 30, 10)]
-    assert "blue@64 succeeds: not tried yet" in summary(
-        presets.preset("quickstart"), league_state(*early, players=PLAYERS[:1])
-    )
+    assert "blue@64 succeeds: not tried yet" in summary(QUICKSTART, league_state(*early, players=PLAYERS[:1]), STORE)
 
 
 def test_it_is_printed_as_lines_where_there_is_no_terminal(capsys):
@@ -181,7 +192,7 @@ def test_a_summary_fits_once_and_says_who_is_better(monkeypatch):
         match("blue@64", "pusher", 70, 30),
         match("blue@0", "red@0", 9, 9),
     ]
-    text = summary(presets.preset("quickstart"), league_state(*log))
+    text = summary(QUICKSTART, league_state(*log), STORE)
     assert len(fits) == 1
     assert "blue@64 against\n  red@64 (1:04 of training)          60.0 % (50.2-69.1) of 100\n  its own blue@0" in text
     assert "  pusher" in text
@@ -195,7 +206,7 @@ def test_a_copy_is_said_to_be_the_same_policy():
     log = [match("blue@64", "red@64", 60, 40), match("blue@0", "red@0", 9, 9)]
     state = league_state(*PLAYED, *log)
     copies = [replace(s, digest="one") if s.name in ("blue@64", "red@64") else s for s in state.snapshots]
-    text = summary(presets.preset("quickstart"), replace(state, snapshots=copies))
+    text = summary(QUICKSTART, replace(state, snapshots=copies), STORE)
     assert "blue@64 and red@64 are the same policy." in text
     assert "stronger" not in text
 
@@ -203,22 +214,22 @@ def test_a_copy_is_said_to_be_the_same_policy():
 def test_who_is_stronger_is_asked_of_one_side_alone():
     rovers = [player("blue", 0), player("blue-2", 0, group="2")]
     log = [match("blue@64", "ants@0", 600, 400), match("blue-2@64", "ants@0", 400, 600)]
-    text = plain(summary(presets.preset("quickstart"), league_state(*log, players=[*rovers, player("ants", 1, "ant")])))
+    text = plain(summary(QUICKSTART, league_state(*log, players=[*rovers, player("ants", 1, "ant")]), STORE))
     assert "It is not known whether blue@64 or blue-2@64 is stronger: by the ratings blue@64 is " in text
     assert "(the two have not met; ± has room for a cyclic term of 100 Elo)" in text
     assert "Not known yet: how strong ants@64 is." in text
     assert "than ants" not in text
     far = [*log, match("blue@64", "blue-2@0", 980, 20), match("blue-2@64", "blue-2@0", 20, 980)]
-    text = plain(summary(presets.preset("quickstart"), league_state(*far, players=[*rovers, player("ants", 1, "ant")])))
+    text = plain(summary(QUICKSTART, league_state(*far, players=[*rovers, player("ants", 1, "ant")]), STORE))
     assert "blue@64 is stronger than blue-2@64: by the ratings" in text
 
 
 def test_the_fit_alone_calls_nobody_stronger_than_whom_it_loses_to():
     """The case of a quick start: the ratings had blue ahead, and 200 games between the two had red ahead."""
     detour = [match("blue@64", "blue@0", 150, 50), match("red@64", "blue@0", 130, 70)]
-    text = plain(summary(presets.preset("quickstart"), league_state(*detour)))
+    text = plain(summary(QUICKSTART, league_state(*detour), STORE))
     assert "It is not known whether blue@64 or red@64 is stronger: by the ratings blue@64 is " in text
-    text = plain(summary(presets.preset("quickstart"), league_state(*detour, match("blue@64", "red@64", 60, 140))))
+    text = plain(summary(QUICKSTART, league_state(*detour, match("blue@64", "red@64", 60, 140)), STORE))
     assert "red@64 is stronger than blue@64: red@64 scores 70.0 % (" in text
 
 
@@ -230,7 +241,7 @@ def test_every_score_is_of_a_snapshot_that_is_named_and_what_is_newer_is_said_to
     assert line.startswith("rating · blue@64 97 %, red@1 50 % vs initial (red@64 not yet) · ")
     line = ticker(rating_time="3m").line(league_state(), "rating", [])
     assert line.startswith("rating · blue@64 and red@64: score vs initial not known yet · 0 rated episodes")
-    text = summary(presets.preset("quickstart"), league_state(*log))
+    text = summary(QUICKSTART, league_state(*log), STORE)
     assert "Not known yet: how strong blue@64 and red@64 are." in plain(text)
     assert "stronger than" not in text
 
