@@ -33,6 +33,13 @@ class RecordingQuery:
     between: tuple[str, ...] = ()
     player: str | None = None
 
+    @property
+    def clashing(self) -> tuple[str, ...]:
+        """The names of the requests that are made, if they ask for different matches; else empty."""
+        one = [name for name in ("match", "best", "upset", "closest") if getattr(self, name) not in (None, False)]
+        narrower = [name for name in ("between", "player") if getattr(self, name)]
+        return (*one, *narrower) if len(one) > 1 or (self.match is not None and narrower) else ()
+
 
 HIGHLIGHTS = {
     "newest": RecordingQuery(), "best-rated": RecordingQuery(best=True), "closest": RecordingQuery(closest=True),

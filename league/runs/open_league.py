@@ -89,6 +89,8 @@ class OpenLeague(Open):
         except TypeError:
             wishes = ", ".join(name for name in recordings.RecordingQuery.__annotations__ if name != "match")
             raise StorageError(f"a recording is chosen by match, episode, {wishes}; not {', '.join(wish)}") from None
+        if query.clashing:
+            raise StorageError(f"{' and '.join(query.clashing)} ask for different matches: give one of them")
         return self._episode(recordings.chosen(self, query), episode)
 
     def episodes(self, match: int) -> list[Episode]:

@@ -39,17 +39,15 @@ class WatchOptions(ViewOptions, Where):
 
     def query(self) -> RecordingQuery:
         """Return the requested match. Raises ConfigError for two requests at once, or for --between with one name."""
-        asked = {"MATCH": self.match is not None, "--best": self.best, "--upset": self.upset,
-                 "--closest": self.closest}  # fmt: skip
-        given = [name for name, there in asked.items() if there]
-        named = [name for name, there in (("--between", self.between), ("--player", self.player)) if there]
-        if len(given) > 1 or (self.match is not None and named):
-            raise ConfigError((), f"{' and '.join([*given, *named])} ask for different matches: give one of them")
-        if self.live and (given or named or self.writes):
+        query = RecordingQuery(self.match, self.best, self.upset, self.closest, self.between, self.player)
+        if query.clashing:
+            given = " and ".join("MATCH" if name == "match" else f"--{name}" for name in query.clashing)
+            raise ConfigError((), f"{given} ask for different matches: give one of them")
+        if self.live and (query != RecordingQuery() or self.writes):
             raise ConfigError((), "--live shows every match as it comes, in a window or with --web: give it alone")
         if len(self.between) not in (0, 2):
             raise ConfigError((), f"--between takes two snapshots, as in --between a@8 b@8, not {len(self.between)}")
-        return RecordingQuery(self.match, self.best, self.upset, self.closest, self.between, self.player)
+        return query
 
 
 def watch(args: list[str]) -> int:

@@ -260,6 +260,8 @@ def test_recordings_and_policies_are_open_to_python(tiny_league):
         payoff = opened.payoff(newest=True)
         assert payoff.scores.shape == payoff.games.shape
         assert opened.explain("blue").probability.sum() == pytest.approx(1.0)
+        with pytest.raises(StorageError, match=r"^match and best ask for different matches: give one of them$"):
+            opened.recording(1, best=True)
         with pytest.raises(StorageError, match="a recording is chosen by match, episode, best"):
             opened.recording(loudest=True)
 
