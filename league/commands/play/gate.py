@@ -1,8 +1,11 @@
 """`league gate`: test whether one snapshot is better than another, ending as early as two error rates allow."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
+from league.commands.analyse.sprt import row
 from league.commands.options import HypothesesOptions, Where, parse, positional
 from league.commands.progress_bar import report_kernels
 from league.config.schema import ConfigError
@@ -33,6 +36,8 @@ class GateOptions(HypothesesOptions, Where):
     """Episodes after which it is left undecided."""
     batch: int = field(default=128, metadata={"low": 2, "high": 2**20, "valid": _even})
     """Episodes between two looks at the test; fewer decide earlier, more use a machine better."""
+    format: Literal["table", "json"] = "table"
+    """Text for people, json for programs."""
 
 
 def gate(args: list[str]) -> int:
@@ -42,7 +47,18 @@ def gate(args: list[str]) -> int:
         require_two_sides(opened, "a gate")
         found = pairing(opened, options.a, options.b)
         _refuse(found)
-        return decide(found, options.test(), options.batch, options.most)
+        test, text = options.test(), options.format == "table"
+        episodes, pairs, stands = decide(found, test, options.batch, options.most, _line if text else lambda _: None)
+    if text:
+        print(_verdict(found, stands, episodes, sum(pairs)))
+    else:
+        told = {"a": found.a.name, "b": found.pair[1], "episodes": episodes, "pentanomial": list(pairs)}
+        print(json.dumps(told | row(stands), indent=2))
+    return {"accept": ACCEPTED, "reject": REJECTED, "continue": UNDECIDED}[stands.decision]
+
+
+def _line(text: str) -> None:
+    print(text, flush=True)  # a batch may take minutes
 
 
 def _refuse(found: Pairing) -> None:
@@ -59,27 +75,29 @@ def _refuse(found: Pairing) -> None:
         raise ConfigError((), f"{a} and {b} {verdict}: compare two of one side by `league ratings`")
 
 
-def decide(found: Pairing, test: SequentialTest, batch: int, most: int) -> int:
-    """Play batches until the test decides, or another batch would exceed `most` episodes; return the exit code.
+def decide(
+    found: Pairing, test: SequentialTest, batch: int, most: int, tell: Callable[[str], None]
+) -> tuple[int, PairCounts, SprtResult]:
+    """Play batches until the test decides, or another batch would exceed `most` episodes.
+
+    Returns the episodes, the seed pairs and the state of the test; `tell` takes a line after each batch.
 
     The random seed of each batch is determined by the league's seed, the pair, the test and the batch's number. It
     identifies batches that are already in the store, so a test that was killed continues, and a test that was decided
     is reported again. Other games of the two do not count: they may be the reason for which the test was requested.
     """
     evaluator, (a, b) = found.evaluator(min(batch, most - most % 2)), found.pair
-    print(f"Is {a} better than {b}? Elo {test.elo0:g} against {test.elo1:g} ({test.model}), bounds {_bounds(test)}.")
+    tell(f"Is {a} better than {b}? Elo {test.elo0:g} against {test.elo1:g} ({test.model}), bounds {_bounds(test)}.")
     while True:
         played = batches(found.filed("gate", evaluator.key), found, test)
         episodes, pairs = sum(map(_episodes, played)), paired(played)
         stands = test.result(pairs)
         if played:
-            print(f"{episodes:,} episodes, {_pairs(pairs)}: LLR {stands.llr:.3f} in {_bounds(test)}", flush=True)
+            tell(f"{episodes:,} episodes, {_pairs(pairs)}: LLR {stands.llr:.3f} in {_bounds(test)}")
         if stands.decision != "continue" or episodes + 2 * evaluator.each > most:
-            break
+            return episodes, pairs, stands
         with report_kernels():
             found.file(evaluator, "gate", seed(found, test, len(played)))
-    print(_verdict(found, stands, episodes, sum(pairs)))
-    return {"accept": ACCEPTED, "reject": REJECTED, "continue": UNDECIDED}[stands.decision]
 
 
 def seed(found: Pairing, test: SequentialTest, number: int) -> int:

@@ -49,6 +49,10 @@ def test_a_gate_accepts_who_is_better_and_rejects_who_is_not(hands, capsys):
     assert code == gate.ACCEPTED
     assert "Accepted: paper is better than rock, by 32 episodes in 16 seed pairs." in out
     assert "seed pairs 0 LL, 0 LD, 0 DD or WL, 0 DW, 16 WW: LLR" in out
+    code, out, _ = said(capsys, "gate", "paper", "rock", *asked, "--format", "json")
+    told = json.loads(out)
+    assert (code, told["decision"], told["a"], told["b"]) == (gate.ACCEPTED, "accept", "paper", "rock")
+    assert (told["episodes"], told["pentanomial"], told["llr"] > told["upper"]) == (32, [0, 0, 0, 0, 16], True)
     code, out, _ = said(capsys, "gate", "rock", "paper", *asked)
     assert code == gate.REJECTED
     assert "Rejected: rock is not better than paper" in out
