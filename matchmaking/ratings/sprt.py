@@ -41,6 +41,10 @@ class SprtResult(NamedTuple):
     low: float  # 95 % interval of it, from the score's: see scores.score_interval
     high: float
 
+    def for_json(self) -> dict[str, float | str | None]:
+        """Return the fields; None where the counts determine nothing, or the difference is unbounded."""
+        return {k: v if isinstance(v, str) or math.isfinite(v) else None for k, v in self._asdict().items()}
+
 
 @dataclass(frozen=True)
 class SequentialTest:

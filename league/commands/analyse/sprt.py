@@ -1,7 +1,6 @@
 """`league sprt`: the sequential test of `league gate` for counts given by the user."""
 
 import json
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,7 +9,6 @@ from typing import Literal
 from dashboards.tables import Column, render
 from league.commands.options import HypothesesOptions, parse
 from league.config.schema import ConfigError
-from matchmaking.ratings.sprt import SprtResult
 
 COLUMNS = (
     "pairs", Column("llr", "LLR", 3), Column("lower", decimals=3), Column("upper", decimals=3),
@@ -43,17 +41,10 @@ def sprt(args: list[str]) -> int:
         raise ConfigError((), "league sprt needs --pentanomial LL,LD,DD,DW,WW, five counts: see league sprt --help")
     found = options.test().result(options.pentanomial)
     if options.format == "json":
-        print(json.dumps(row(found), indent=2))
+        print(json.dumps(found.for_json(), indent=2))
     else:
-        print(render([{"pairs": sum(options.pentanomial), **row(found)}], COLUMNS))
+        print(render([{"pairs": sum(options.pentanomial), **found.for_json()}], COLUMNS))
     return 0
-
-
-def row(found: SprtResult) -> dict[str, float | str | None]:
-    """Return a result for JSON: null if the counts determine nothing, or the difference is unbounded."""
-    return {
-        name: each if isinstance(each, str) or math.isfinite(each) else None for name, each in found._asdict().items()
-    }
 
 
 def _listed(args: Sequence[str]) -> list[str]:

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from league.commands.analyse.sprt import row
 from league.commands.options import HypothesesOptions, Where, parse, positional
 from league.commands.progress_bar import report_kernels
 from league.config.schema import ConfigError
@@ -53,7 +52,7 @@ def gate(args: list[str]) -> int:
         print(_verdict(found, stands, episodes, sum(pairs)))
     else:
         told = {"a": found.a.name, "b": found.pair[1], "episodes": episodes, "pentanomial": list(pairs)}
-        print(json.dumps(told | row(stands), indent=2))
+        print(json.dumps(told | stands.for_json(), indent=2))
     return {"accept": ACCEPTED, "reject": REJECTED, "continue": UNDECIDED}[stands.decision]
 
 
