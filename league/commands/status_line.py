@@ -73,8 +73,8 @@ class Ticker:
             parts = [stage, awaited, trouble_text(state), known, left, rated, f"{past} so far"]
         elif not training:
             none = "starting workers" if self.config.workers.train else "waiting for a `league worker` that trains"
-            doings = sorted((str(said["doing"]) for said in learners if "doing" in said), key="waiting".__eq__)
-            doing = next(iter(doings), none)
+            doings = [str(said["doing"]) for said in learners if "doing" in said]
+            doing = next((each for each in doings if each != "waiting"), doings[0] if doings else none)
             parts = [doing, trouble_text(state), _against_initial(state), f"{past} so far", rated]
         else:
             parts = [
