@@ -24,11 +24,15 @@ T = TypeVar("T")
 STORE = "league-data"
 
 
-def place_flags(store: str, blobs: str | None = None) -> str:
-    """Return the flags with which another command finds this store, without passwords; empty for the default store."""
-    given = [("--store", store)] if store != STORE else []
-    given += [("--blobs", blobs)] if blobs else []
-    return shlex.join(word for flag, place in given for word in (flag, display_location(place)))
+def place_flags(store: str, blobs: str | None = None, league: str | None = None) -> str:
+    """Return the flags with which another command finds this store and, if given, the league, without passwords.
+
+    The default store needs none.
+    """
+    given = [("--store", display_location(store))] if store != STORE else []
+    given += [("--blobs", display_location(blobs))] if blobs else []
+    given += [("--league", league)] if league else []
+    return shlex.join(word for pair in given for word in pair)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """`league pack` and `league unpack`: leagues as one file, which can be added to any store."""
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -79,7 +78,8 @@ def unpack(args: list[str]) -> int:
     print(f"Unpacked {_summary(done)} into {display_location(options.store)}.")
     if options.named is not None:
         print("Recordings, and the settings kept with runs and snapshots, still tell the old name: they never change.")
-    print(f"`league run {_flags(where)}` goes on; `league ratings {_flags(where)}` tells who is better.")
+    found_by = place_flags(where.store, where.blobs, where.league)
+    print(f"`league run {found_by}` goes on; `league ratings {found_by}` tells who is better.")
     return 0
 
 
@@ -89,10 +89,6 @@ def _summary(done: archive.Moved) -> str:
     rows = ", ".join(f"{number:,} {table}" for table, number in counts.items())
     names = f"league {done.leagues[0]}" if len(done.leagues) == 1 else f"leagues {', '.join(done.leagues)}"
     return f"{names} ({rows}; {done.blobs:,} blobs)"
-
-
-def _flags(where: Where) -> str:
-    return f"{place_flags(where.store, where.blobs)} {shlex.join(['--league', str(where.league)])}".lstrip()
 
 
 def _together(args: Sequence[str], flag: str) -> list[str]:

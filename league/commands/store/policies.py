@@ -167,8 +167,7 @@ def _import_program(options: ImportOptions, kind: str) -> int:
 
 
 def _how_rated(options: ImportOptions, league: str) -> str:
-    where = f"{place_flags(options.store)} --league {league}".lstrip()
-    return f"Its rating matches are played by `league run {where}`."
+    return f"Its rating matches are played by `league run {place_flags(options.store, league=league)}`."
 
 
 def _need(value: str | None, what: str, command: str) -> None:

@@ -1,12 +1,12 @@
 """No command prints a password that stands in the place of a store or of its blobs, whatever comes of it."""
 
 import logging
+import shlex
 from pathlib import Path
 
 import pytest
 
 from league.commands import cli, options
-from league.commands.store import archives
 from storage.database.urls import display_location, without_passwords
 from tests.league.leagues import filled
 
@@ -76,8 +76,9 @@ def test_the_help_of_run_shows_no_password_of_a_file(folder, capfd, caplog):
 
 
 def test_commands_that_are_proposed_have_no_password(folder):
-    where = options.Where(STORES[0], "cup", BLOBS[0])
-    assert SECRET not in archives._flags(where)
+    flags = options.place_flags(STORES[0], BLOBS[0], "cup")
+    assert SECRET not in flags
+    assert [word for word in shlex.split(flags) if word.startswith("--")] == ["--store", "--blobs", "--league"]
 
 
 @pytest.mark.parametrize("place", [*BLOBS, *STORES])
