@@ -4,7 +4,6 @@
 configuration loads neither torch, jax nor mujoco; `league/runtime/validation.py` makes the checks that need them.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,8 +27,9 @@ from league.config.sections import (
     Storage,
     Training,
     Workers,
-    check_forerunner,
+    check_forerunners,
     check_name,
+    check_players,
     named_players,
 )
 from league.config.text_files import decoded
@@ -78,7 +78,7 @@ class Config:
     """Processes on this machine."""
     storage: Storage = field(default_factory=Storage)
     """Limits and places of what the store keeps."""
-    after: tuple[str, ...] = field(default=(), metadata={"valid": lambda names: [*map(check_forerunner, names)]})
+    after: tuple[str, ...] = field(default=(), metadata={"valid": check_forerunners})
     """Leagues of this store, snapshots of them (main/blue@49), policies that come with the league, or files that
     `league export` wrote (my/policy.safetensors), from which the players here start; the nearest first."""
     stages: tuple[parts.Stage, ...] = field(default=(), metadata={"apart": True})
@@ -123,7 +123,7 @@ class Config:
                 raise ValueError(f"training.opponents.groups: there are only {training.worlds} worlds to share")
         if training.devices > 1:
             self._check_devices()
-        self._check_players()
+        check_players(self.players)
         check_pbt(training.pbt, training.schedule.kind, self.deterministic, self.learner.desired_kl is not None)
         check_roles(self.roles, [player.role for player in self.players])
 
@@ -139,6 +139,16 @@ class Config:
     def opponents(self, player: Player | PlayerSettings) -> Opponents:
         """Return the opponent settings of a player of the league."""
         return self.role(player.role).opponents or self.training.opponents
+
+    @property
+    def own_after(self) -> dict[str, tuple[str, ...]]:
+        """`after` of each player that has one of its own."""
+        return {each.name: each.after for each in named_players(self.players) if each.after is not None}
+
+    @property
+    def every_after(self) -> tuple[str, ...]:
+        """The names of all that some player starts from, each once."""
+        return tuple(dict.fromkeys([*self.after, *(name for own in self.own_after.values() for name in own)]))
 
     def _check_devices(self) -> None:
         """Check that all devices get equally many worlds, and enough for minibatches and groups; raises ValueError."""
@@ -170,16 +180,6 @@ class Config:
             raise ValueError("deterministic: needs a budget in steps; give budget.steps, or --steps")
         if self.budget.training_time is not None:
             raise ValueError('budget.training_time: time runs differently every time; deterministic wants "none" here')
-
-    def _check_players(self) -> None:
-        """Check that names are unique, and that a group has at most one player per team; raises ValueError."""
-        roster = named_players(self.players)
-        name, count = Counter(p.name for p in roster).most_common(1)[0] if roster else ("", 0)
-        if count > 1:
-            raise ValueError(f"players: {count} are called {name}; give each a name of its own")
-        (group, team), count = Counter((p.group, p.team) for p in roster).most_common(1)[0] if roster else (("", ""), 0)
-        if count > 1:
-            raise ValueError(f"players: group {group} has {count} of team {team}; one of each team learns together")
 
 
 def stage(config: Config, number: int) -> Config:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -63,6 +64,12 @@ def check_forerunner(value: str) -> None:
         )
 
 
+def check_forerunners(names: Sequence[str]) -> None:
+    """Raise ValueError unless `check_forerunner` accepts each of these names."""
+    for name in names:
+        check_forerunner(name)
+
+
 @dataclass(frozen=True)
 class PlayerSettings:
     """A player: a learning lineage of policies for one team."""
@@ -85,6 +92,11 @@ class PlayerSettings:
     """Settings of its learner, over those of learner.settings where it is the same class."""
     flat: bool = False
     """Act by its own networks alone, without the skills of learner.skill."""
+    after: tuple[str, ...] | None = field(
+        default=None, metadata={"valid": lambda names: check_forerunners(names or ())}
+    )
+    """Leagues, snapshots or policies that it starts from, as in `after` of the league (none: those, and in a
+    curriculum the stages before; []: nothing)."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a network without layers and for a player without a team."""
@@ -312,6 +324,17 @@ def named_players(players: tuple[PlayerSettings, ...]) -> tuple[PlayerSettings, 
         name = player.name or (player.team if number == 1 else f"{player.team}-{number}")
         named.append(replace(player, name=name, group=player.group or str(number)))
     return tuple(named)
+
+
+def check_players(players: tuple[PlayerSettings, ...]) -> None:
+    """Raise ValueError unless names are unique, and a group has at most one player per team."""
+    roster = named_players(players)
+    name, count = Counter(p.name for p in roster).most_common(1)[0] if roster else ("", 0)
+    if count > 1:
+        raise ValueError(f"players: {count} are called {name}; give each a name of its own")
+    (group, team), count = Counter((p.group, p.team) for p in roster).most_common(1)[0] if roster else (("", ""), 0)
+    if count > 1:
+        raise ValueError(f"players: group {group} has {count} of team {team}; one of each team learns together")
 
 
 def mains(teams: tuple[str, ...]) -> tuple[PlayerSettings, ...]:

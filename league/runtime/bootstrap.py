@@ -1,6 +1,7 @@
 """The rows with which a league begins, and the checks of a configuration against the contents of the store."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from league.config import experiment as configuration
@@ -77,13 +78,14 @@ def validate_stage_starts(where: str, config: Config, stages: list[list[Player]]
     """
     if _has_begun(where, config):
         return
-    before = _predecessors(where, config)
+    before, own = _predecessors(where, config)
     for number, players in enumerate(stages):
+        theirs = own if number == len(stages) - 1 else {}  # earlier stages have one main player a team
         try:
-            warm_starts(players, before, entities=bool(config.learner.architecture.entities))
+            warm_starts(players, before, entities=bool(config.learner.architecture.entities), own=theirs)
         except IncompatiblePolicy as error:
             key = ("stages", str(number), "arena") if config.stages else ("after",)
-            what = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.after)}"
+            what = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.every_after)}"
             raise ConfigError(key, f"{what}: {error}") from None
         before.insert(0, players)
 
@@ -99,15 +101,19 @@ def _has_begun(where: str, config: Config) -> bool:
         return False
 
 
-def _predecessors(where: str, config: Config) -> list[Sequence[Player]]:
-    """Return the players of the leagues and policies named in `after`; a store that does not exist has none."""
-    if not config.after:
-        return []
-    try:
-        with Store.open(where, blobs=config.storage.blobs) as store:
-            return forerunners(store, config.after)
-    except NotAStore:
-        return forerunners(None, config.after)
+def _predecessors(where: str, config: Config) -> tuple[list[Sequence[Player]], dict[str, list[Sequence[Player]]]]:
+    """Return the players of the leagues and policies named in `after`, and those named in each player's own `after`.
+
+    A store that does not exist has no leagues.
+    """
+    if not config.every_after:
+        return [], {name: [] for name in config.own_after}
+    with ExitStack() as stack:
+        store = None
+        with suppress(NotAStore):
+            store = stack.enter_context(Store.open(where, blobs=config.storage.blobs))
+        own = {name: forerunners(store, names) for name, names in config.own_after.items()}
+        return forerunners(store, config.after), own
 
 
 def validate_first_start(where: str, config: Config, arena: "Arena") -> None:

@@ -191,7 +191,7 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
         raise PrepareError("the process that asked has gone; nothing was written")
     validate_stage_starts(spec.store, config, list(map(players_of, stages or [config], arenas)))
     first = (stages or [config])[0]
-    if first.after:
+    if first.every_after:
         validate_first_start(spec.store, first, arenas[0])
     validate_victims(spec.store, first, arenas[0], request["imported"])
     with Store.open(spec.store, create=request["create"], blobs=spec.blobs) as store:
@@ -199,7 +199,7 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
             store.create_league(League(config.league, spec.config_toml))
         else:
             create(store, config, arenas[0], spec.config_toml)
-        begins = config.after and not stages and not store.newest_checkpoints(config.league)
+        begins = config.every_after and not stages and not store.newest_checkpoints(config.league)
         changed = tuple(warm_start.changed_actions(store, config)) if begins else ()
     arena = arenas[0]
     sides = tuple(f"{t.name} ({describe_team(a.kind for a in t.agents)})" for t in arena.teams)

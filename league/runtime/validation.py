@@ -250,8 +250,10 @@ def _validate_learners(config: Config, arena: "Arena") -> None:
     if config.training.pbt.ready is not None:
         message = f"{what} has no hyperparameters that the league could move; leave it out"
         raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, message)
-    if config.after:
-        raise ConfigError(("after",), f"after: {what} starts afresh, and takes over no networks of other leagues")
+    for i, player in own:
+        if config.own_after.get(player.name, config.after):
+            key = ("after",) if player.after is None else ("players", str(i), "after")
+            raise ConfigError(key, f"{dotted(key)}: {what} starts afresh, and takes over no networks of other leagues")
     if config.training.schedule.kind == "ladder" and len(set(classes.values())) > 1:
         message = "ladder copies what one player learns to the others, whose learners are of another class"
         raise refuse(("training", "schedule", "kind"), "ladder", message)

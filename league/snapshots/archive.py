@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from league.config.schema import ConfigError, Key, literal
-from league.config.sections import check_name
+from league.config.sections import POLICY_FILE, check_name
 from league.config.toml import key_lines
 from league.snapshots.policy_file import trained
 from league.state.curriculum_stage import course, stages_of
@@ -111,10 +111,24 @@ def needed(store: Store, names: Sequence[str]) -> list[str]:
         found.add(name)
         if walk := course(store, name):
             left += [walk.root, *(stage for each in walk.stages if (stage := f"{walk.root}.{each}") in there)]
-        with suppress(ValueError, RecursionError, TypeError):
-            after = map(str, tomllib.loads(there[name]).get("after", ()))
-            left += [each for each in after if each in there or each not in trained()]
+        with suppress(ValueError, RecursionError):
+            named = [each for _, after in _after_lists(tomllib.loads(there[name])) for each in after]
+            leagues = [each if each in there else each.partition("/")[0] for each in named if not _is_file(each)]
+            left += [each for each in leagues if each in there or each not in trained()]
     return [name for name in there if name in found]
+
+
+def _after_lists(table: Mapping[str, Any]) -> Iterator[tuple[Key, list[str]]]:
+    """Yield the key and the names of each `after` in a league's settings: its own, and those of its players."""
+    players = table.get("players")
+    of_players = enumerate(players) if isinstance(players, list) else ()
+    for key, at in ((), table), *((("players", str(number)), each) for number, each in of_players):
+        if isinstance(at, Mapping) and isinstance(after := at.get("after"), list):
+            yield (*key, "after"), [str(each) for each in after]
+
+
+def _is_file(name: str) -> bool:
+    return name.endswith(POLICY_FILE)
 
 
 def _read(store: Store, digest: str, table: str) -> bytes:
@@ -246,15 +260,22 @@ def _arriving(
 def _config(text: str, names: Mapping[str, str], blobs: str | None) -> str:
     """Return a league's settings with the new names and place of blobs; all other text stays the same."""
     table = tomllib.loads(text)
-    own, after = table.get("league"), table.get("after")
+    own = table.get("league")
     changes: dict[Key, Any] = {}
     if isinstance(own, str) and names.get(own, own) != own:
         changes["league",] = names[own]
-    if isinstance(after, list) and (new := [names.get(str(each), each) for each in after]) != after:
-        changes["after",] = new
+    for key, after in _after_lists(table):
+        if (new := [each if _is_file(each) else _renamed(each, names) for each in after]) != after:
+            changes[key] = new
     if isinstance(table.get("storage"), dict) and table["storage"].get("blobs", blobs) != blobs:
         changes["storage", "blobs"] = "none" if blobs is None else blobs
     return with_values(text, changes) if changes else text
+
+
+def _renamed(start: str, names: Mapping[str, str]) -> str:
+    """Return the new name of a league or of one of its snapshots, such as main/blue@49."""
+    league, slash, snapshot = start.partition("/")
+    return f"{names.get(league, league)}{slash}{snapshot}"
 
 
 def with_values(text: str, changes: Mapping[Key, Any]) -> str:
@@ -262,11 +283,12 @@ def with_values(text: str, changes: Mapping[Key, Any]) -> str:
 
     Raises StorageError if changing these lines is not enough.
     """
-    lines, places, wanted = text.splitlines(keepends=True), key_lines(text), tomllib.loads(text)
+    lines, places = text.splitlines(keepends=True), key_lines(text)
+    wanted: Any = tomllib.loads(text)
     for key, value in changes.items():
         inner = wanted
         for name in key[:-1]:
-            inner = inner[name]
+            inner = inner[int(name) if isinstance(inner, list) else name]
         inner[key[-1]] = value
         at = places[key] - 1
         end = lines[at][len(lines[at].rstrip("\r\n")) :]

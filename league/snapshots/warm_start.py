@@ -57,9 +57,12 @@ class IncompatiblePolicy(ValueError):  # noqa: N818  (named after the policy)
 
 
 def warm_starts(
-    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own", entities: bool = False
-) -> dict[str, WarmStart]:
+    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own", entities: bool = False,
+    own: Mapping[str, Sequence[Sequence[Player]]] | None = None,
+) -> dict[str, WarmStart]:  # fmt: skip
     """Return the sources of each player; `before` are the players of other leagues, the nearest league first.
+
+    `own` has what replaces `before` for players that have an `after` of their own.
 
     A critic and its value normaliser continue if all actors come from one player and that player had the same roster:
     then the critic's input fits. A critic that sees all teams needs equal rosters of all teams, and one that judges for
@@ -70,10 +73,10 @@ def warm_starts(
     taken: Counter[tuple[Source, ...]] = Counter()  # how many agents have one of these sources already
     found = {}
     for player in players:
-        side = roster_side(player.roster)
-        actors = tuple(_source(agent, side, before, taken, entities) for agent in roster_agents(player.roster))
-        critic = _critic(player, actors, before)
-        if critic and not _fits(critic_input, player, players, *_of(before, critic)):
+        side, leagues = roster_side(player.roster), (own or {}).get(player.name, before)
+        actors = tuple(_source(agent, side, leagues, taken, entities) for agent in roster_agents(player.roster))
+        critic = _critic(player, actors, leagues)
+        if critic and not _fits(critic_input, player, players, *_of(leagues, critic)):
             critic = None
         found[player.name] = WarmStart(actors, critic)
     return found
@@ -254,24 +257,26 @@ def _player_of(name: str) -> Player:
 
 def of(
     store: Store | None, players: Sequence[Player], after: Sequence[str], critic_input: str = "own",
-    entities: bool = False,
+    entities: bool = False, own: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, WarmStart]:  # fmt: skip
     """Return the sources of the players of a league, among the leagues and policies named in `after`.
 
     `store` is None for a new store. A critic with another kind of input starts from scratch. `entities` is that of
-    `warm_starts`. Raises UnknownName as `forerunners` does, IncompatiblePolicy as `warm_starts` does.
+    `warm_starts`, and `own` has the names for players that have an `after` of their own. Raises UnknownName as
+    `forerunners` does, IncompatiblePolicy as `warm_starts` does.
     """
     order = sorted(players, key=lambda p: (p.role != "main", p.team, p.name))
+    theirs = {name: forerunners(store, names) for name, names in (own or {}).items()}
     return {
         name: each._replace(critic=None) if each.critic and _saw(store, each.critic[0]) != critic_input else each
-        for name, each in warm_starts(order, forerunners(store, after), critic_input, entities).items()
+        for name, each in warm_starts(order, forerunners(store, after), critic_input, entities, theirs).items()
     }
 
 
 def of_config(store: Store | None, players: Sequence[Player], config: Config) -> dict[str, WarmStart]:
     """Return the sources of the players of a league with these settings, as `of` does."""
     learner = config.learner
-    return of(store, players, config.after, learner.critic_input, bool(learner.architecture.entities))
+    return of(store, players, config.after, learner.critic_input, bool(learner.architecture.entities), config.own_after)
 
 
 def _saw(store: Store | None, league: str) -> str:

@@ -71,12 +71,17 @@ def run_changes(before: str, now: str) -> list[str]:
 
 
 def start_changed(before: str, now: str) -> bool:
-    """Return whether `after` differs between two configurations as text; not if one cannot be read."""
+    """Return whether `after` differs between two configurations as text, the league's or that of a player of both.
+
+    It does not if one cannot be read.
+    """
     try:
-        one, other = (tomllib.loads(text).get("after", []) for text in (before, now))
-    except tomllib.TOMLDecodeError:
+        one, other = (tomllib.loads(text) for text in (before, now))
+        theirs, ours = ({each.name: each.after for each in _players(table)} for table in (one, other))
+    except (ValueError, ConfigError, RecursionError):
         return False
-    return one != other
+    changed = any(theirs[name] != ours[name] for name in theirs.keys() & ours.keys())
+    return one.get("after", []) != other.get("after", []) or changed
 
 
 def _settings_of_runs(text: str) -> Iterator[tuple[str, Any]]:
@@ -105,7 +110,7 @@ def _values(text: str, player: str | None) -> dict[str, Any] | None:
         table = tomllib.loads(text)
         learner = build(HappoConfig, table.get("learner", {}))
         found = {dotted(("learner", *key)): value for key, value in _flat(learner) if value is not None}
-        players = named_players(tuple(build(PlayerSettings, each) for each in table.get("players", [])))
+        players = _players(table)
     except (ValueError, ConfigError, RecursionError):
         return None
     for each in players:
@@ -116,6 +121,11 @@ def _values(text: str, player: str | None) -> dict[str, Any] | None:
                 if key[0] in OF_LEARNERS and value is not None
             }
     return found
+
+
+def _players(table: Mapping[str, Any]) -> tuple[PlayerSettings, ...]:
+    """Return the players of a configuration, with default names and groups filled in."""
+    return named_players(tuple(build(PlayerSettings, each) for each in table.get("players", [])))
 
 
 def _flat(values: Any, prefix: Key = ()) -> Iterator[tuple[Key, Any]]:

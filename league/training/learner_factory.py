@@ -110,7 +110,7 @@ def reset_learner(
         learner.reseed(seed)
         return
     known = checkpoint.observed(learner.save())
-    if not (source.initial and config.after):
+    if not (source.initial and config.own_after.get(player.name, config.after)):
         known = {name: np.full_like(counts, source.step) for name, counts in known.items()}
     warm_start.thaw_into(fresh, store.blobs.get(source.digest), known)
     learner.load(fresh.save())

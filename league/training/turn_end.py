@@ -83,12 +83,12 @@ class TurnFinalizer:
     def begin(self, store: Store) -> None:
         """Make the players of the turn: initialised by their seeds, or by warm starts from the preceding leagues."""
         config, players = self.config, list(self.pool.players.values())
-        if config.after:
+        if config.every_after:
             found = warm_start.of_config(store, players, config)
             for name in self.turn.learners:
                 learner = self.pool.learners[name]
-                assert isinstance(learner, HappoLearner)  # others were refused
-                self._parents[name] = warm_start.start(store, learner, found[name])
+                if isinstance(learner, HappoLearner):  # others start from nothing: `validate` refuses them an `after`
+                    self._parents[name] = warm_start.start(store, learner, found[name])
 
     def close(self, store: Store, points: Sequence[CurvePoint], meetings: Sequence[Meeting]) -> bool:
         """Make the copies and resets that follow from the turn's learning curves and games.

@@ -36,7 +36,7 @@ BODILESS = ("--arena.name", "rock-paper-scissors", *SMALL)  # no physics: compil
 SMALLER = (
     "--league", "small", "--training.worlds", "32", "--training.rollout_length", "16", "--rating.worlds", "16",
     "--rating.pairings", "2", "--rating.episodes_per_pair", "8", "--rating.final-episodes-per-pair", "8",
-    "--rating.milestones", "1s",
+    "--rating.milestones", "1s", "--workers.nice", "0",
 )  # fmt: skip
 
 

@@ -196,7 +196,7 @@ def _handed_on(config: Config, league_state: LeagueState) -> str:
 
 def _warm_starts(store: Store, config: Config) -> list[str]:
     """Return a line for each player of a new league that starts from an earlier policy."""
-    if not config.after or store.newest_checkpoints(config.league):
+    if not config.every_after or store.newest_checkpoints(config.league):
         return []
     found = warm_start.of_config(store, store.players(config.league), config)
     return warm_start.describe(found, store)

@@ -141,9 +141,9 @@ def _setting_changes(where: str, config: Config) -> list[str]:
     except NotAStore:
         return []
     told = []
-    if begun and config.after and start_changed(kept.get(config.league, ""), configuration.dumps(config)):
+    if begun and config.every_after and start_changed(kept.get(config.league, ""), configuration.dumps(config)):
         told.append(
-            f"after = {json.dumps(config.after)} is for players that begin to learn: {', '.join(begun)} of league"
+            f"after = {json.dumps(config.every_after)} is for players that begin to learn: {', '.join(begun)} of league"
             f" {first.league} go on from where they are. A league of another name (--league) starts from there."
         )
     for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:

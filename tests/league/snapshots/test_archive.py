@@ -122,6 +122,20 @@ def test_a_policy_that_comes_with_the_league_need_not_travel(tmp_path):
             archive.needed(store, ["other"])
 
 
+@pytest.mark.parametrize("start", ["base/blue@4", "gone/my.safetensors"])
+@pytest.mark.parametrize("text", [
+    'league = "other"\nafter = ["START"]\n',
+    'league = "other"\n\n[[players]]\nteam = "red"\n\n[[players]]\nteam = "blue"\nafter = ["START"]\n',
+])  # fmt: skip
+def test_starts_from_snapshots_and_files_and_those_of_players_travel(tmp_path, text, start):
+    with curriculum(tmp_path / "source") as store:
+        store.set_config("other", text.replace("START", start))
+        assert sorted(archive.needed(store, ["other"])) == (["base", "other"] if "base" in start else ["other"])
+    names = {"other": "new", "base": "newer"}
+    renamed = text.replace("other", "new").replace("START", start.replace("base", "newer"))
+    assert archive._config(text.replace("START", start), names, None) == renamed
+
+
 def test_a_curriculum_gets_another_name_with_its_stages(tmp_path):
     with curriculum(tmp_path / "source") as store:
         store.set_config("cup", store.league("cup").config.replace('after = ["base"]', "after = []"))

@@ -27,6 +27,15 @@ def test_each_side_of_several_players_goes_on_from_its_own_in_turn():
     assert [found[0].player for found in sources(here, before) if found[0]] == ["p0", "p0", "p1", "p2", "p1"]
 
 
+def test_a_player_with_a_start_of_its_own_leaves_the_others_theirs():
+    before, mine, here = players("old", RUNNER, RUNNER), players("mine", RUNNER), players("new", *[RUNNER] * 4)
+    found = warm_starts(here, [before], own={"p1": [mine], "p2": []})
+    assert [start.actors[0] for start in found.values()] == [
+        Source("old", "p0", 0), Source("mine", "p0", 0), None, Source("old", "p1", 0),
+    ]  # fmt: skip
+    assert [start.critic for start in found.values()] == [("old", "p0"), ("mine", "p0"), None, ("old", "p1")]
+
+
 def test_a_side_that_nobody_played_goes_on_from_another():
     assert sources(players("cup", BLOCKER), players("old", RUNNER)) == [(Source("old", "p0", 0),)]
     nearer, farther = players("near", RUNNER), players("far", BLOCKER)

@@ -69,6 +69,16 @@ def test_another_start_is_noticed():
     assert not start_changed("after =", walk)
 
 
+def test_another_start_of_a_player_is_noticed_and_a_further_player_is_none():
+    def of(*players: PlayerSettings) -> str:
+        return experiment.dumps(replace(PLAIN, players=players))
+
+    blue, red, afresh = PlayerSettings("blue"), PlayerSettings("red"), PlayerSettings("blue", after=())
+    assert start_changed(of(blue, red), of(afresh, red))
+    assert not start_changed(of(afresh, red), of(afresh, red))
+    assert not start_changed(of(blue, red), of(blue, red, replace(afresh, name="new")))
+
+
 def test_the_snapshot_after_a_change_bears_it():
     kept = [snapshot(0, text()), snapshot(4, text(), "blue@0"), snapshot(8, text(lr=0.5), "blue@4"),
             snapshot(16, text(lr=0.5), "blue@8")]  # fmt: skip

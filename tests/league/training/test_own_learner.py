@@ -258,7 +258,9 @@ def test_flags_that_do_not_fit_the_class_are_refused(flags, line):
 @pytest.mark.parametrize(("changes", "line"), [
     ({"training": {"devices": 2, "worlds": 16}}, r"training\.devices = 2: .* learns on one device; use 1"),
     ({"players": [{"team": "blue", "lr": 0.1}, {"team": "red"}]}, r"players\[0\]\.lr = 0\.1: is a setting of happo"),
-    ({"after": ["leatherbacks-sumo"]}, "starts afresh, and takes over no networks"),
+    ({"after": ["leatherbacks-sumo"]}, "after: .* starts afresh, and takes over no networks"),
+    ({"players": [{"team": "blue"}, {"team": "red", "after": ["leatherbacks-sumo"]}]},
+     r"players\[1\]\.after: .* starts afresh"),
     ({"players": [{"team": "blue", "role": "pupil"}, {"team": "red"}],
       "roles": [{"name": "pupil", "timeout": 1000, "reset": "main"}]}, "only happo takes over"),
     ({"players": [{"team": "blue", "class": "happo"}, {"team": "red"}], "training": {"schedule": {"kind": "ladder"}}},
