@@ -161,3 +161,14 @@ def test_ctrl_c_ends_ffmpeg_too(shown, tmp_path, monkeypatch):
     with pytest.raises(ProcessLookupError):  # neither running nor a zombie
         os.kill(int((tmp_path / "pid").read_text()), 0)
     assert not (tmp_path / "m.webm").exists()
+
+
+def test_what_starts_high_above_a_small_ring_is_within_the_picture():
+    match = cars()
+    raised = match.qpos.copy()
+    raised[:, 2] += 1.5
+    shown, usual = Film(replace(match, qpos=raised), SIZE), Film(match, SIZE)
+    row, _ = middle(shown, 0, 0)
+    assert 0 < row < SIZE[1]
+    away = [np.linalg.norm(each.camera.eye) for each in (usual, shown)]
+    assert away[0] < away[1] < 2.01 * away[0]
