@@ -56,8 +56,8 @@ def thin(args: list[str]) -> int:
     )
     options = parse(ThinOptions, args, "thin", what)
     progress, age = Progress("thinning"), seconds(options.age)
-    _require_alone(options)
     with Store.open(options.store, blobs=options.blobs) as store:
+        _require_alone(options)
         _require_rest(store, age)
         _require_no_others(store)
         removable = store.find_removable(_policy(store, options, age))

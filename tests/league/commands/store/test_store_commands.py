@@ -139,6 +139,7 @@ def test_hundreds_of_findings_are_a_short_table_and_all_in_json(folder, capsys):
         (("verify", "--format", "csv"), "table"),
         (("verify", "league-data"), "what is 'league-data'?"),
         (("thin", "--store", "absent"), "No league store at"),
+        (("thin", "--store", "absent", "--blobs", "elsewhere"), "No league store at"),
         (("thin", "--checkpoints", "0"), "must be at least 1"),
         (("thin", "--recordings", "-1"), "must be at least 0"),
         (("thin", "--recordings-for", "soon"), "is not a duration"),
