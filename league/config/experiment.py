@@ -150,6 +150,11 @@ class Config:
         """The names of all that some player starts from, each once."""
         return tuple(dict.fromkeys([*self.after, *(name for own in self.own_after.values() for name in own)]))
 
+    @property
+    def afresh(self) -> "Config":
+        """The same settings for players that all start from nothing."""
+        return replace(self, after=(), players=tuple(replace(each, after=None) for each in self.players))
+
     def _check_devices(self) -> None:
         """Check that all devices get equally many worlds, and enough for minibatches and groups; raises ValueError."""
         training, devices = self.training, self.training.devices

@@ -185,7 +185,7 @@ def compile_rollout(config: Config, arena: "Arena", count: int) -> None:
     from league.training.trainer import Trainer
     from storage.store import Store
 
-    config = replace(config, after=())
+    config = config.afresh
     with tempfile.TemporaryDirectory(prefix="robot-league-") as folder, Store.open(folder, create=True) as store:
         create(store, config, arena)
         trainer = Trainer(config, arena, store.players(config.league), count)

@@ -45,7 +45,7 @@ class CrossPlay:
         players = first.store.players(first.league)
         self.arena = build(config, rating_batch(config).worlds, players)
         self.league = into or f"{CROSS_PLAY}.{self.arena.config_hash[:DIGITS]}"
-        self._store, self._config = store, replace(config, league=self.league, stages=(), after=())
+        self._store, self._config = store, replace(config.afresh, league=self.league, stages=())
         self.left_out = [member.name for member in found if not _newest(member)]
         self.entries = [entry for member in found for entry in self._entries(member)]
         if len(self.entries) < 2:

@@ -1,8 +1,14 @@
 """A league whose players start from different leagues: what each one takes over, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from league.commands.run.next_stage import compile_rollout
+from league.config import experiment as configuration
+from league.config.sections import PlayerSettings
+from league.system import arena_build
 from storage.blobs import arrays
 from storage.store import Store
 from tests.league.conftest import BODILESS, call
@@ -60,3 +66,11 @@ def test_a_start_that_is_not_there_is_refused_by_one_line(copied_league, tmp_pat
     done = call("run", str(tmp_path / "gone.toml"), *BODILESS, "--league", "third", cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert "no league or trained policy 'gone'" in done.stderr
+
+
+def test_a_rollout_is_compiled_ahead_whatever_players_start_from():
+    players = (PlayerSettings("blue", after=("elsewhere",)), PlayerSettings("red"))
+    config = replace(configuration.default("rock-paper-scissors"), players=players, after=("gone",))
+    config = replace(config, training=replace(config.training, worlds=64))
+    compile_rollout(config, arena_build.build(config, 64), 64)
+    assert config.afresh.every_after == ()
