@@ -36,13 +36,13 @@ from experiments.policy_files import (
     FileLeague,
     between_seeds,
     check_pairs,
+    config_of,
     file_league,
     parser_of_pairs,
     score_of,
 )
 from league.commands.cli import guarded
-from league.config import flags
-from league.config.experiment import Config, change, default
+from league.config.experiment import Config
 from league.config.schema import ConfigError
 from scripts.record import run_info, split_arguments, write
 from storage.records import Match
@@ -110,12 +110,7 @@ def parsed(argv: Sequence[str]) -> tuple[argparse.Namespace, Config, tuple[str, 
     parser.add_argument("--arena", required=True, help="an arena of two teams")
     parser.add_argument("--initial", action="store_true", help="play initial policies of each seed alone")
     args = parser.parse_args(own)
-    try:
-        base = default(args.arena)
-        given = flags.split(further, lambda key: flags.is_switch(key, Config, base)).given
-        config = change(base, given)
-    except ConfigError as error:
-        parser.error(str(error))
+    config = config_of(parser, args.arena, further)
     sides = tuple(config.arena.outline().teams)
     if len(sides) != 2:
         parser.error(f"{args.arena} has {len(sides)} teams; cross-play is of two")

@@ -18,7 +18,9 @@ import numpy as np
 from agents.rollout.rollout import PlayedEpisodes
 from arenas.arena import Arena
 from dashboards.system.temporary_folders import temporary_folder
-from league.config.experiment import Config
+from league.config import flags
+from league.config.experiment import Config, change, default
+from league.config.schema import ConfigError
 from league.matches.evaluator import MatchEvaluator, Sides
 from league.queries.query import Open
 from league.runs.bench.metrics import cross_play
@@ -127,6 +129,15 @@ def parser_of_pairs(description: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--episodes", type=int, default=256, help="games of each pair, a multiple of --worlds")
     parser.add_argument("--worlds", type=int, default=128, help="games at once, an even number")
     return parser
+
+
+def config_of(parser: argparse.ArgumentParser, arena: str, further: Sequence[str]) -> Config:
+    """Return the settings of a league in an arena with further flags of `league run`; end the program if they fail."""
+    try:
+        base = default(arena)
+        return change(base, flags.split(further, lambda key: flags.is_switch(key, Config, base)).given)
+    except ConfigError as error:
+        parser.error(str(error))
 
 
 def check_pairs(parser: argparse.ArgumentParser, args: argparse.Namespace, sides: Sequence[str]) -> None:
