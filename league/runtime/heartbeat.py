@@ -84,27 +84,24 @@ class Heartbeat:
 class ManagerWatch:
     """Watch over a manager on another host, by its lease alone.
 
-    While the store is away a manager cannot renew its lease. So a lease that has ended says something only after the
-    store has answered for as long as a lease lasts: until then the manager may return.
+    A manager cannot renew its lease while the store is away, and goes on afterwards. So one whose lease has ended has
+    the time of another lease to return. One that has given up, or has a successor, is gone at once.
     """
 
     def __init__(self, store: Store, league: str, manager: str, clock: Callable[[], float] = time.monotonic):
         self._store, self._league, self._manager, self._clock = store, league, manager, clock
-        self._answered = self._answers_since = clock()
+        self._silent_since: float | None = None
 
     def is_gone(self) -> bool:
         """Return whether the manager has ended; False if the store is away."""
         try:
-            leader = self._store.leader(self._league)
+            leader, leads = self._store.last_leader(self._league) or ("", False)
         except StorageError:
             return False
-        now = self._clock()  # after the answer, which may have taken long
-        if now - self._answered > LEASE / 2:
-            self._answers_since = now
-        self._answered = now
-        if leader is not None:
-            return leader[0] != self._manager
-        return now - self._answers_since > LEASE
+        now = self._clock()
+        if leads or self._silent_since is None:
+            self._silent_since = None if leads else now
+        return leader != self._manager or (self._silent_since is not None and now - self._silent_since > LEASE)
 
 
 def none_on_error(operation: Callable[..., R], *args: Any) -> R | None:

@@ -39,22 +39,20 @@ def test_a_manager_that_leads_is_there_and_one_that_has_given_up_is_gone_at_once
 
 
 def test_a_lease_that_ended_while_the_store_was_away_leaves_the_manager_time_to_return(watched):
-    assert not any(watched.beats(2 * LEASE))
     watched.store.acquire_leadership(LEAGUE, MANAGER, -1.0)
-    assert not watched.after(2 * LEASE)  # the first answer after a long time without one
-    assert not watched.after(1.0)
-    watched.store.acquire_leadership(LEAGUE, MANAGER, 1e6)
-    assert not any(watched.beats(2 * LEASE))
+    for _ in range(3):
+        assert not any(watched.beats(LEASE))
+        watched.store.acquire_leadership(LEAGUE, MANAGER, 1e6)
+        assert not watched.after(1.0)
+        watched.store.acquire_leadership(LEAGUE, MANAGER, -1.0)
 
 
-def test_a_manager_that_does_not_return_with_the_store_is_gone_after_the_time_of_a_lease(watched):
-    watched.beats(2 * LEASE)
+def test_a_manager_that_does_not_return_is_gone_after_the_time_of_another_lease(watched):
     watched.store.acquire_leadership(LEAGUE, MANAGER, -1.0)
-    watched.after(2 * LEASE)
-    assert watched.beats(LEASE + 1) == [False] * int(LEASE) + [True]
+    assert watched.beats(LEASE + 2) == [False] * int(LEASE + 1) + [True]
 
 
-def test_another_manager_is_noticed_at_once_also_after_a_time_without_answers(watched):
+def test_another_manager_is_noticed_at_once(watched):
     watched.store.release_leadership(LEAGUE, MANAGER)
     watched.store.acquire_leadership(LEAGUE, "elsewhere:8:manager", 1e6)
-    assert watched.after(2 * LEASE)
+    assert watched.after(1.0)
