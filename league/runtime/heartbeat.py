@@ -4,17 +4,18 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arenas.physics.kernels import progress as kernel_progress
 from league.system import exit_codes
 from storage.errors import StorageError
+from storage.store import Store
 
 if TYPE_CHECKING:
     from league.runtime.worker import Worker
 
 BEAT = 1.0  # seconds between two heartbeats
+LEASE = 15.0  # seconds for which a manager leads without renewing its lease
 
 R = TypeVar("R")
 
@@ -27,6 +28,7 @@ class Heartbeat:
 
     def __init__(self, worker: "Worker"):
         self._worker = worker
+        self._manager = ManagerWatch(worker.store, worker.config.league, worker.spec.leader)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
 
@@ -75,12 +77,31 @@ class Heartbeat:
 
     def _manager_is_gone(self) -> bool:
         """Return whether the manager has ended; on another host, as far as the store can tell, if it answers."""
-        worker = self._worker
-        if worker.spec.parent is not None:
-            return os.getppid() != worker.spec.parent
-        with suppress(StorageError):
-            return (worker.store.leader(worker.config.league) or ("",))[0] != worker.spec.leader
-        return False
+        parent = self._worker.spec.parent
+        return self._manager.is_gone() if parent is None else os.getppid() != parent
+
+
+class ManagerWatch:
+    """Watch over a manager on another host, by its lease alone.
+
+    A manager cannot renew its lease while the store is away, and goes on afterwards. So one whose lease has ended has
+    the time of another lease to return. One that has given up, or has a successor, is gone at once.
+    """
+
+    def __init__(self, store: Store, league: str, manager: str, clock: Callable[[], float] = time.monotonic):
+        self._store, self._league, self._manager, self._clock = store, league, manager, clock
+        self._silent_since: float | None = None
+
+    def is_gone(self) -> bool:
+        """Return whether the manager has ended; False if the store is away."""
+        try:
+            leader, leads = self._store.last_leader(self._league) or ("", False)
+        except StorageError:
+            return False
+        now = self._clock()
+        if leads or self._silent_since is None:
+            self._silent_since = None if leads else now
+        return leader != self._manager or (self._silent_since is not None and now - self._silent_since > LEASE)
 
 
 def none_on_error(operation: Callable[..., R], *args: Any) -> R | None:

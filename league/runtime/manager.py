@@ -18,7 +18,7 @@ from typing import Literal
 
 from league.config.experiment import Config
 from league.config.run_spec import RunSpec
-from league.runtime.heartbeat import BEAT
+from league.runtime.heartbeat import BEAT, LEASE
 from league.runtime.warm_worker import WarmWorker
 from league.runtime.worker_process import WorkerSpec, run_process
 from league.scheduling.planner import BEFORE_RATING, plan
@@ -31,7 +31,6 @@ from storage.records import Lease, Worker
 from storage.store import Store
 
 TICK = 0.2  # seconds between two reads of the store
-LEASE = 15.0  # seconds for which a manager leads without renewing its lease
 SILENT = 3 * BEAT  # seconds without a heartbeat after which a process that cannot be found counts as dead
 MAX_RESTARTS = 5  # in a row, each within RESTART_WINDOW: then a restart does not solve the problem
 RESTART_WINDOW = 30.0

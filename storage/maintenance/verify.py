@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from storage.blobs import arrays, programs
 from storage.blobs.blobs import BlobEntry, Blobs, open_blobs
+from storage.blobs.folder import FolderBlobs
 from storage.blobs.identity import store_identity
 from storage.database.connection import Database
 from storage.database.opening import open_unchanged
@@ -36,8 +37,8 @@ def verify(
     An unnamed blob is orphaned if it is older than `age` seconds. `job_references` returns what a job's payload refers
     to.
 
-    Raises NotAStore, OldStore, NewerStore, Unavailable (no server now) or StorageError where there is no store to
-    verify.
+    Raises NotAStore, OldStore, NewerStore, Unavailable (database or blobs do not answer now) or StorageError where
+    there is no store to verify.
     """
     url = database_url(where)
     kept = open_blobs(blobs_location(blobs, url))
@@ -45,6 +46,8 @@ def verify(
     try:
         listed: list[BlobEntry] | None = list(kept.entries())
     except Unavailable:
+        if not isinstance(kept, FolderBlobs) or kept.folder.exists():
+            raise  # a server or a disk that does not answer says nothing about the blobs
         listed = None
     engine = open_unchanged(url)
     try:
@@ -67,16 +70,22 @@ def verify(
 def _check_blobs(
     kept: Blobs, named: Mapping[str, BlobReference], report: VerificationReport, progress: ProgressCallback
 ) -> None:
-    """Read every blob that a row names, and check that its content fits the row."""
+    """Read every blob that a row names, and check that its content fits the row.
+
+    Raises StorageError where the blobs cannot be read now, as from a server that does not answer.
+    """
     for done, (digest, reference) in enumerate(named.items()):
         progress("blobs", done, len(named))
         report.blobs += 1
         report.recordings += reference.is_match
         try:
-            _require_content(kept.get(digest), reference)
+            data = kept.get(digest)
         except DamagedBlob as error:
             kind = "missing" if error.fault == "missing" else "corrupt"
             report.add(kind, f"blob {digest}", f"it is {error.fault}; {reference.place} names it")
+            continue
+        try:
+            _require_content(data, reference)
         except (StorageError, ValueError, RecursionError) as error:
             report.add("corrupt", f"blob {digest}", f"{error}; {reference.place} names it")
 

@@ -72,6 +72,12 @@ class Leadership(StoreBase):
         found = self._db.rows(sa.select(c.leader, c.lead_until).where(c.name == league, c.lead_until >= t.now()))
         return (found[0][0], found[0][1]) if found else None
 
+    def last_leader(self, league: str) -> tuple[str, bool] | None:
+        """Return the process that has led the league last, and whether it still leads; None if it has given up."""
+        c = t.leagues.c
+        query = sa.select(c.leader, c.lead_until >= t.now()).where(c.name == league, c.leader.is_not(None))
+        return (found[0][0], bool(found[0][1])) if (found := self._db.rows(query)) else None
+
     def ask_stop(self, league: str) -> None:
         """Ask every worker of the league that has started by now to stop. Raises UnknownName."""
         self._set_league(league, stop_asked=t.now(), revision=t.leagues.c.revision + 1)

@@ -12,7 +12,10 @@ import pytest
 from storage.blobs import s3
 from storage.blobs.s3 import BucketBlobs
 from storage.errors import DamagedBlob, StorageError, Unavailable
+from storage.maintenance.verify import verify
+from storage.store import Store
 from tests.faults import harm
+from tests.storage import sound
 from tests.storage.blobs.test_blob_places import bucket, s3_server  # noqa: F401  (fixtures)
 from tests.storage.object_storage import ceph, moto_server
 from tests.storage.object_storage.proxy import Faults, Proxy
@@ -189,3 +192,22 @@ def test_a_real_server_keeps_blobs_and_refuses_wrong_keys_and_clocks(tmp_path: P
             assert "clock" in done.stderr
     finally:
         server.stop()
+
+
+@pytest.mark.parametrize("status", [503, 403])
+@pytest.mark.parametrize(("when", "says"), [("rows", "Cannot list the blobs"), ("blobs", "Cannot read blob")])
+def test_a_server_that_fails_is_no_damage_of_a_store(
+    blobs: BucketBlobs, proxy: Proxy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, when: str, says: str, status: int
+):
+    monkeypatch.setattr(s3, "TRIES", 1)
+    where, failing = str(tmp_path / "store"), Faults(status=status, code="Unheard")
+    with Store.open(where, create=True, blobs=blobs.location) as store:
+        sound.fill(store)
+    proxy.faults = Faults() if when == "blobs" else failing
+
+    def progress(what: str, *_: object) -> None:
+        proxy.faults = failing if what == "blobs" else proxy.faults
+
+    with pytest.raises(Unavailable if status == 503 else StorageError, match=says) as caught:
+        verify(where, blobs.location, progress=progress)
+    one_line(caught.value)
