@@ -169,7 +169,7 @@ def parsed(argv: Sequence[str]) -> tuple[argparse.Namespace, Config, list[str]]:
     parser.add_argument("--player", required=True, help="whose policies play; its team has the same name")
     parser.add_argument("--seeds", nargs="+", help="names of those folders (default: all)")
     parser.add_argument("--body", default="torso", help="the body that the wind pushes")
-    parser.add_argument("--forces", type=float, nargs="+", default=[200, 300, 400, 500, 600], help="in N")
+    parser.add_argument("--forces", type=float, nargs="+", default=[200.0, 300.0, 400.0, 500.0, 600.0], help="in N")
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--height", type=float, default=1.0, help="m, as in gymnasium's humanoid")
     parser.add_argument("--seed", type=int, default=0)

@@ -184,11 +184,8 @@ def _camera(scene: Replay, centre: np.ndarray, radius: float, size: tuple[int, i
     geoms = [geom for body in range(1, model.nbody) for kind in visible_geoms(model, body).values() for geom in kind]
     tops = scene.xpos[0, model.geom_bodyid[geoms]]
     tops = tops + [0.0, 0.0, 1.0] * (np.linalg.norm(model.geom_pos[geoms], axis=1) + model.geom_rbound[geoms])[:, None]
-    for away in np.linspace(1.0, 2.0, 11):
-        camera = Camera.framing(centre, away * radius, size)
-        if (camera.project(tops)[:, 1] >= 0).all():
-            break
-    return camera
+    cameras = [Camera.framing(centre, away * radius, size) for away in np.linspace(1.0, 2.0, 11)]
+    return next((camera for camera in cameras if (camera.project(tops)[:, 1] >= 0).all()), cameras[-1])
 
 
 def save_picture(film: Film, path: Path, at_seconds: float) -> None:
