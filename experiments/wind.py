@@ -65,8 +65,9 @@ class WindyArena:
     def __init__(self, arena: Arena, agent: str, body: str):
         """Prepare the physics. Raises ConfigError if the agent has no such body."""
         names = [arena.scene.model.body(i).name for i in range(1, arena.scene.model.nbody)]
-        if f"{agent}/{body}" not in names:
-            raise ConfigError(("body",), f"{agent} has no body {body!r}: (bodies: {', '.join(names)})")
+        own = [name.removeprefix(f"{agent}/") for name in names if name.startswith(f"{agent}/")]
+        if body not in own:
+            raise ConfigError(("body",), f"{agent} has no body {body!r}: (bodies: {', '.join(own)})")
         self.arena, self.agent = arena, agent
         pushed = (arena.scene.model.body(f"{agent}/{body}").id,)
         self.engine = CEngine(arena.scene.model, arena.engine.derived, pushed)

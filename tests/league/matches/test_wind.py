@@ -57,7 +57,7 @@ def test_a_robot_falls_once_and_one_below_no_height_stands_to_the_end(windy):
 
 
 def test_what_cannot_be_pushed_is_told_in_a_line(tmp_path, capsys):
-    with pytest.raises(ConfigError, match=r"has no body 'head': .*red/0/torso"):
+    with pytest.raises(ConfigError, match=r"has no body 'head': \(bodies: torso, [^/]*\)$"):
         WindyArena(arenas.settings("sumo-ants").build(engine="c"), "blue/0", "head")
     with pytest.raises(SystemExit) as ended:
         main([str(tmp_path), "--arena", "sumo-ants", "--player", "blue"])
