@@ -29,7 +29,7 @@ def duel() -> Config:
 def rovers() -> Config:
     """2v2 rovers as in the quick start, with a larger network and a longer horizon, until stopped; for a GPU.
 
-    Half as many worlds as a GPU has by default and half a rollout bring twice as many updates a second, and 75 %
+    Half as many worlds as a GPU has by default and half a rollout bring 2.5 times as many updates a second, and 75 %
     against `pusher` a fifth sooner (docs/results.md).
     """
     config = quickstart()
