@@ -99,8 +99,10 @@ class ManagerWatch:
         except StorageError:
             return False
         now = self._clock()
-        if leads or self._silent_since is None:
-            self._silent_since = None if leads else now
+        if leads:
+            self._silent_since = None
+        elif self._silent_since is None:
+            self._silent_since = now
         return leader != self._manager or (self._silent_since is not None and now - self._silent_since > LEASE)
 
 

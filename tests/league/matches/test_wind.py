@@ -51,7 +51,10 @@ def test_wind_moves_the_robot_along_and_another_robot_is_seen_where_it_began(win
 @pytest.mark.slow
 def test_a_robot_falls_once_and_one_below_no_height_stands_to_the_end(windy):
     forces = gusts(windy.dt, 0.0, 2, np.random.default_rng(0))[:4]
-    policy = lambda observations: np.zeros((len(observations), 8))  # noqa: E731
+
+    def policy(observations: np.ndarray) -> np.ndarray:
+        return np.zeros((len(observations), 8))
+
     assert (fall_times(windy, policy, forces, -1.0, 0) == 7.5).all()
     assert fall_times(windy, policy, forces, 100.0, 0) == pytest.approx(windy.dt)
 

@@ -1,4 +1,4 @@
-"""How a worker on another host tells a manager that has ended from one that could not reach the store either."""
+"""Detection of a manager's end by workers on other hosts, where the store may have been away for all of them."""
 
 import pytest
 
