@@ -186,10 +186,10 @@ def _worker(worker: Worker, job: Job | None, now: float) -> dict:
 
 
 def _free_disk(store: Store) -> float | None:
-    """Return the free bytes for the store on this machine; None if the store is elsewhere."""
-    folders = [Path(store.where).parent, getattr(store.blobs, "folder", None)]
-    free = [shutil.disk_usage(folder).free for folder in folders if folder is not None and folder.is_dir()]
-    return min(free) if free and "://" not in store.where else None
+    """Return the least free bytes of the folders that hold the database and the blobs; None if both are on servers."""
+    database = None if "://" in store.where else Path(store.where).parent
+    folders = [folder for folder in (database, getattr(store.blobs, "folder", None)) if folder is not None]
+    return min((shutil.disk_usage(folder).free for folder in folders if folder.is_dir()), default=None)
 
 
 # Lines ----------------------------------------------------------------------------------------------------------------
@@ -271,7 +271,7 @@ def describe_rating_share(share: float, trained: float, rated: float, episodes: 
 
 
 def _machine(free_disk: float | None, gpus: Sequence[devices.Memory]) -> str:
-    """Describe the free disk space for a store on this machine, and the memory of its GPUs in use."""
+    """Describe the free disk space for a store, and the memory of this machine's GPUs in use."""
     disk = [f"Disk: {free_disk / 1e9:,.1f} GB free"] if free_disk is not None else []
     memory = [f"{gpu.used:.1f} of {gpu.total:.1f} GB of GPU {gpu.name} in use" for gpu in gpus]
-    return "; ".join([*disk, *memory]) or "Disk: not of this machine"
+    return "; ".join([*disk, *memory]) or "Disk: the store is on servers"

@@ -1,6 +1,7 @@
 """What `league status` says of a league that runs, stands still or has trouble."""
 
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -52,6 +53,12 @@ def test_a_transaction_that_another_client_holds_open_is_named(server_url, tmp_p
         text = report(Open(store))
     other.dispose()
     assert "Warning:\n  a transaction is open since 0 min (nightly dump, idle in transaction, " + f"pid {pid})" in text
+
+
+def test_the_free_disk_is_told_where_only_the_blobs_are_in_a_folder(server_url, tmp_path):
+    with Store.open(server_url, create=True, blobs=tmp_path) as store:
+        store.create_league(League("cup", ""))
+        assert re.search(r"Disk: [\d,.]+ GB free", report(Open(store)))
 
 
 def test_a_league_that_nobody_manages_is_stopped(opened):
