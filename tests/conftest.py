@@ -15,6 +15,10 @@ os.environ.setdefault(
     "NPROC", "4"
 )  # XLA's threads: with two of them MJX in JAX can hang, see arenas/physics/registry.py
 
+# Torch has one thread in each process, as in a worker of a league on two cores. Several pytest processes share the
+# cores, and threads that wait for each other on them took 38 % of the processor time of tests that learn.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # JAX keeps compiled programs for later tests, for the other processes of pytest-xdist, and for the slow suite. It
 # writes its files without a lock: what is read half written is compiled instead, with a warning (see pyproject.toml).
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
