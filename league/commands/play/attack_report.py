@@ -67,11 +67,10 @@ def text(made: Attacked) -> str:
 def text_of_several(attacks: Sequence[Attacked], fresh: Finding) -> str:
     """Return the report of attackers of one victim; `fresh` is the best one's by games that did not choose it."""
     best, scores = best_of(attacks), _scores(attacks)
-    rows = [_row(each) for each in attacks]
-    columns = [Column("seed"), Column("steps"), Column("score", "score %", 1), Column("interval", title="95 %")]
-    for view in attacks[0].views:
-        of = "" if view == "unmasked" else f"{view}: "
-        columns += [Column(f"{view} {outcome}", f"{of}{outcome} %", 1) for outcome in OUTCOMES]
+    rows = [row for each in attacks for row in _rows(each)]
+    columns = [Column("seed"), Column("steps"), Column("score", "score %"), Column("interval", title="95 %")]
+    columns += [Column("victim")] if len(best.views) > 1 else []
+    columns += [Column(outcome, f"{outcome} %", 1) for outcome in OUTCOMES]
     median = f"{100 * statistics.median(scores):.1f} %" if scores else "-"
     return "\n".join([
         f"{len(attacks)} attackers of {best.victim}: their scores, and how often {best.victim} wins, draws and loses,"
@@ -104,15 +103,16 @@ def _scores(attacks: Sequence[Attacked]) -> list[float]:
     return [each.found.score.score for each in attacks if each.found.score.games]
 
 
-def _row(made: Attacked) -> dict[str, Any]:
-    """Return an attack as a row of the table of several."""
+def _rows(made: Attacked) -> list[dict[str, Any]]:
+    """Return an attack as rows of the table of several: one for each way in which the victim saw its opponent."""
     score = made.found.score
-    shares = {f"{row['victim']} {k}": row[k] for row in _view_rows(made.views) for k in OUTCOMES}
-    return _percent({
-        "seed": made.chosen.config.seed, "steps": f"{made.attacker.step:,}",
-        "score": score.score if score.games else None,
-        "interval": f"{100 * score.low:.1f}-{100 * score.high:.1f}" if score.games else "-", **shares,
-    })  # fmt: skip
+    about = {
+        "seed": str(made.chosen.config.seed), "steps": f"{made.attacker.step:,}",
+        "score": f"{100 * score.score:.1f}" if score.games else "-",
+        "interval": f"{100 * score.low:.1f}-{100 * score.high:.1f}" if score.games else "-",
+    }  # fmt: skip
+    first, *others = (_percent(row) for row in _view_rows(made.views))
+    return [{**about, **first}, *({**dict.fromkeys(about, ""), **row} for row in others)]
 
 
 def _percent(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,10 +10,11 @@ import arenas
 from agents.rollout.rollout import make_play, scripts_for
 from arenas.description import Part
 from arenas.errors import ArenaError
+from league.commands.play.attack_report import Attacked, text_of_several
 from league.config import experiment, presets
 from league.config.schema import ConfigError
 from league.matches.adhoc_matches import pairing
-from league.matches.exploitability import measure, measure_masked
+from league.matches.exploitability import Attack, finding, measure, measure_masked
 from league.matches.masking import mask_opponents, opponent_numbers
 from league.queries.query import Open
 from league.snapshots.codec import add_scripts, seat
@@ -76,6 +77,20 @@ def test_a_victim_that_needs_to_see_its_opponent_wins_less_without(tmp_path):
         assert sum(masked) == match.wins + match.draws + match.losses == 16
         assert masked[0] < match.losses  # the pusher is B
         assert [m.purpose for m in store.matches("duel")] == ["exploit"]
+        found_hole, seen = (
+            finding(found, match),
+            {"unmasked": (match.losses, match.draws, match.wins), "masked": masked},
+        )
+        attacks = [
+            Attacked(Attack(found.players[1], replace(config, seed=seed), "idle"), found, ("idle",), found_hole, seen)
+            for seed in (1, 2)
+        ]
+        report = text_of_several(attacks, found_hole)
+    rows = [line.split() for line in report.splitlines() if "masked " in line]
+    assert [row[-4] for row in rows] == ["unmasked", "masked"] * 2
+    for row in rows:
+        assert row[-3:] == [f"{100 * count / 16:.1f}" for count in seen[row[-4]]]
+    assert "columns are too few" not in report
 
 
 @pytest.mark.parametrize(
