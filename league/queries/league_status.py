@@ -19,6 +19,7 @@ from league.state.void_rates import warnings as void_warnings
 from league.system import devices
 from matchmaking.roles import FIXED, Role
 from matchmaking.schedule import LearningCounts, remaining
+from storage.blobs.folder import FolderBlobs
 from storage.records import Job, JobState, Phase, Player, Worker
 from storage.store import Store
 
@@ -187,8 +188,9 @@ def _worker(worker: Worker, job: Job | None, now: float) -> dict:
 
 def _free_disk(store: Store) -> float | None:
     """Return the least free bytes of the folders that hold the database and the blobs; None if both are on servers."""
-    database = None if "://" in store.where else Path(store.where).parent
-    folders = [folder for folder in (database, getattr(store.blobs, "folder", None)) if folder is not None]
+    kept = store.blobs.kept
+    folders = [] if "://" in store.where else [Path(store.where).parent]
+    folders += [kept.folder] if isinstance(kept, FolderBlobs) else []
     return min((shutil.disk_usage(folder).free for folder in folders if folder.is_dir()), default=None)
 
 
