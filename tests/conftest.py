@@ -16,7 +16,7 @@ os.environ.setdefault(
 )  # XLA's threads: with two of them MJX in JAX can hang, see arenas/physics/registry.py
 
 # Torch has one thread in each process, as in a worker of a league on two cores. Several pytest processes share the
-# cores, and threads that wait for each other on them took 38 % of the processor time of tests that learn.
+# cores, and threads that wait for each other took 38 % of the processor time of tests/league/training/test_trainer.py.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # JAX keeps compiled programs for later tests, for the other processes of pytest-xdist, and for the slow suite. It

@@ -187,7 +187,7 @@ def _worker(worker: Worker, job: Job | None, now: float) -> dict:
 
 
 def _free_disk(store: Store) -> float | None:
-    """Return the least free bytes of the folders that hold the database and the blobs; None if both are on servers."""
+    """Return the least free bytes of the folders that hold the database and the blobs; None if neither is here."""
     kept = store.blobs.kept
     folders = [] if "://" in store.where else [Path(store.where).parent]
     folders += [kept.folder] if isinstance(kept, FolderBlobs) else []
@@ -276,4 +276,4 @@ def _machine(free_disk: float | None, gpus: Sequence[devices.Memory]) -> str:
     """Describe the free disk space for a store, and the memory of this machine's GPUs in use."""
     disk = [f"Disk: {free_disk / 1e9:,.1f} GB free"] if free_disk is not None else []
     memory = [f"{gpu.used:.1f} of {gpu.total:.1f} GB of GPU {gpu.name} in use" for gpu in gpus]
-    return "; ".join([*disk, *memory]) or "Disk: the store is on servers"
+    return "; ".join([*disk, *memory]) or "Disk: no folder of the store is here"

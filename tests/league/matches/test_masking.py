@@ -77,10 +77,8 @@ def test_a_victim_that_needs_to_see_its_opponent_wins_less_without(tmp_path):
         assert sum(masked) == match.wins + match.draws + match.losses == 16
         assert masked[0] < match.losses  # the pusher is B
         assert [m.purpose for m in store.matches("duel")] == ["exploit"]
-        found_hole, seen = (
-            finding(found, match),
-            {"unmasked": (match.losses, match.draws, match.wins), "masked": masked},
-        )
+        seen = {"unmasked": (match.losses, match.draws, match.wins), "masked": masked}
+        found_hole = finding(found, match)
         attacks = [
             Attacked(Attack(found.players[1], replace(config, seed=seed), "idle"), found, ("idle",), found_hole, seen)
             for seed in (1, 2)

@@ -50,7 +50,7 @@ def test_ties_have_a_bound_exactly_where_all_conditions_together_say_so():
     from scipy.optimize import linprog
 
     rng, found = np.random.default_rng(5), []
-    for _ in range(80):
+    for _ in range(150):
         games = []
         for _ in range(rng.integers(1, 7)):
             players = tuple(rng.choice(P, rng.integers(2, P + 1), replace=False).tolist())
@@ -65,7 +65,7 @@ def test_ties_have_a_bound_exactly_where_all_conditions_together_say_so():
         ).fun  # fmt: skip
         found.append(directions(log(*games), P) is not None)
         assert found[-1] == (gain > 1e-7), games
-    assert 10 < sum(found) < len(found) - 10
+    assert 20 < sum(found) < len(found) - 20
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_among_many_players_too_no_rating_is_known_where_all_games_were_ties():
 
 def test_rankings_of_two_tell_what_games_of_two_tell():
     rng, names, unlike = np.random.default_rng(1), ("a", "b", "c", "d"), 0
-    for _ in range(50):
+    for _ in range(100):
         games = [(*rng.choice(4, 2, replace=False).tolist(), int(rng.integers(3))) for _ in range(rng.integers(2, 9))]
         games = [(a, b, 1 if rng.random() < 0.5 else result) for a, b, result in games]
         played = [match(names[a], names[b], r == 0, r == 2, r == 1) for a, b, r in games]
@@ -104,4 +104,4 @@ def test_rankings_of_two_tell_what_games_of_two_tell():
         many = examined(rankings_payoff(names, log(*(((a, b), ranks[r]) for a, b, r in games))))
         assert (many.draw, many.island.tolist()) == (two.draw, two.island.tolist())
         unlike += (many.ratings, many.unknown.tolist()) != (two.ratings, two.unknown.tolist())
-    assert unlike < 2  # directions of rankings are looked for along random aims
+    assert unlike < 3  # directions of rankings are looked for along random aims

@@ -2,9 +2,12 @@
 
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import sqlalchemy as sa
@@ -59,6 +62,16 @@ def test_the_free_disk_is_told_where_only_the_blobs_are_in_a_folder(server_url, 
     with Store.open(server_url, create=True, blobs=tmp_path) as store:
         store.create_league(League("cup", ""))
         assert re.search(r"Disk: [\d,.]+ GB free", report(Open(store)))
+
+
+def test_the_fuller_disk_is_told_where_blobs_have_one_of_their_own(tmp_path, monkeypatch):
+    kept = tmp_path / "kept"
+    monkeypatch.setattr(shutil, "disk_usage", lambda at: SimpleNamespace(free=7e9 if Path(at) == kept else 9e9))
+    with Store.open(tmp_path / "store", create=True, blobs=kept) as store:
+        store.create_league(League("cup", ""))
+        assert "Disk: 9.0 GB free" in report(Open(store))  # the first blob makes the folder
+        store.blobs.put(b"policy")
+        assert "Disk: 7.0 GB free" in report(Open(store))
 
 
 def test_a_league_that_nobody_manages_is_stopped(opened):
