@@ -4,13 +4,13 @@
 configuration loads neither torch, jax nor mujoco; `league/runtime/validation.py` makes the checks that need them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import arenas
-from agents.settings import HAPPO, REMOVED, HappoConfig
+from agents.settings import HappoConfig
 from arenas.arena_settings import EngineName
 from arenas.errors import ArenaError, describe_error, source_files
 from league.config import flags, toml
@@ -18,7 +18,8 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.schema import ConfigError, Key, dotted, refuse
+from league.config.learner_checks import check_learner_flags
+from league.config.schema import ConfigError, Key
 from league.config.sections import (
     Budget,
     Buffers,
@@ -264,31 +265,6 @@ def base_of(table: Mapping[str, Any], given: flags.Given, source: str, text: str
     return base if name in (None, base.arena.name) else replace(base, arena=default(name).arena)
 
 
-def _check_learner_flags(config: Config, given: flags.Given) -> None:
-    """Raise ConfigError for a flag of HAPPO where no player learns by it. A file may have such keys: presets do."""
-    if any(key[0] == "learner" for key in given):
-        check_classes(config)
-    classes = {player.class_ or config.learner.class_ for player in config.players} or {config.learner.class_}
-    if HAPPO in classes:
-        return
-    for key in given:
-        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
-            raise ConfigError(
-                key,
-                f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"
-                f" give its own as --learner.settings.{key[-1]}",
-            )
-
-
-def check_classes(config: Config) -> None:
-    """Raise ConfigError if a player would learn by a learner that was removed."""
-    named = {("learner", "class"): config.learner.class_}
-    named |= {("players", str(i), "class"): player.class_ or "" for i, player in enumerate(config.players)}
-    for key, name in named.items():
-        if name in REMOVED:
-            raise refuse(key, name, REMOVED[name])
-
-
 def loads(
     text: str, source: str = "league.toml", given: flags.Given | None = None, over: Mapping[str, Any] | None = None
 ) -> Config:
@@ -297,7 +273,7 @@ def loads(
     `given` holds the text of flags by their keys; a flag overrides the file. So do `over`, tables of values. Raises
     ConfigError, one line with the place of the error: the file and its line, or the flag.
     """
-    given, table = given or {}, flags.merged(toml.parse(text, source), over or {})
+    (given, of_stages), table = parts.apart(given or {}), flags.merged(toml.parse(text, source), over or {})
     base = base_of(table, given, source, text)
     table.pop(PRESET, None)
     former: Former = {}
@@ -305,20 +281,49 @@ def loads(
         table, former = _present_names(table, base)
         tables = table.pop(parts.KEY, None)
         config = build(Config, flags.merged(table, flags.values(given, Config, base)), base)
-        _check_learner_flags(config, given)
+        check_learner_flags(config, given)
         config = config if tables is None else replace(config, stages=parts.read(tables))
-        if flags.is_of(WORLDS, given) or _names(over or {}, WORLDS):
+        if flags.is_of(WORLDS, given) or flags.names(over or {}, WORLDS):
             config = replace(config, stages=tuple(_bounded(each, config.training.worlds) for each in config.stages))
         for number in range(len(config.stages)):
             stage(config, number)  # raises if a stage is invalid
-        return config
     except ConfigError as error:
         if flags.is_of(error.key, given):
             raise flags.as_flag(error) from None
         key = former.get(error.key, error.key)
-        if not text or _names(over or {}, key):
+        if not text or flags.names(over or {}, key):
             raise ConfigError(error.key, error.message) from None
         raise ConfigError(error.key, error.message, f"{toml.place(key, text, source)}: ") from None
+    return _with_stage_flags(config, of_stages)
+
+
+def within(key: Key, base: Config, stages: Sequence[parts.Stage]) -> tuple[Key, Config]:
+    """Return the key of a flag in its own league, and defaults there: `stages.walk.learner.lr` is `learner.lr` of the
+    stage `walk`, which may have another arena.
+    """
+    if key[0] != parts.KEY or len(key) < 3:
+        return key, base
+    own = parts.find(key[1], stages)
+    arena = arena_of(own.settings) if own else None
+    return key[2:], base if arena in (None, base.arena.name) else replace(base, arena=default(arena).arena)
+
+
+def _with_stage_flags(config: Config, of_stages: Mapping[str, flags.Given]) -> Config:
+    """Return the configuration with flags over the settings of its stages. Raises ConfigError."""
+    for name, given in of_stages.items():
+        number = parts.number_of(name, config.stages)
+        own = config.stages[number]
+        arena = given.get(("arena", "name")) or arena_of(own.settings) or config.arena.name
+        try:
+            base = config if arena == config.arena.name else replace(config, arena=default(arena).arena)
+            present, _ = flags.present(given, Config, base)
+            settings = flags.merged(own.settings, flags.values(present, Config, base))
+        except ConfigError as error:
+            raise ConfigError((parts.KEY, own.name), f"stage {own.name}: {flags.as_flag(error).message}") from None
+        stages = (*config.stages[:number], replace(own, settings=settings), *config.stages[number + 1 :])
+        config = replace(config, stages=stages)
+        stage(config, number)  # raises if its settings are invalid now
+    return config
 
 
 def _bounded(own: parts.Stage, worlds: int | None) -> parts.Stage:
@@ -328,18 +333,6 @@ def _bounded(own: parts.Stage, worlds: int | None) -> parts.Stage:
     if worlds is None or not isinstance(named, int) or named <= worlds:
         return own
     return replace(own, settings=flags.merged(own.settings, {WORLDS[0]: {WORLDS[1]: worlds}}))
-
-
-def _names(tables: Mapping[str, Any], key: Key) -> bool:
-    """Return whether tables hold a value at a key, or at a part of it."""
-    own: Any = tables
-    for name in key:
-        if not isinstance(own, Mapping):
-            return True
-        if name not in own:
-            return False
-        own = own[name]
-    return bool(key)
 
 
 def former_names(text: str, source: str = "league.toml") -> Former:
@@ -364,15 +357,16 @@ def _present_names(table: Mapping[str, Any], base: Config) -> tuple[dict[str, An
 
 def change(base: Config, given: flags.Given) -> Config:
     """Return the configuration with the values of the flags. Raises ConfigError."""
+    given, of_stages = parts.apart(given)
     name = given.get(("arena", "name"))
     if name is not None and name != base.arena.name:
         base = replace(base, arena=default(name).arena)
     try:
         config = build(Config, flags.values(given, Config, base), base)
-        _check_learner_flags(config, given)
-        return config
+        check_learner_flags(config, given)
     except ConfigError as error:
         raise flags.as_flag(error) from None
+    return _with_stage_flags(config, of_stages)
 
 
 def read(path: Path) -> str:

@@ -195,6 +195,18 @@ def is_of(key: Key, given: Given) -> bool:
     return any(key[: len(each)] == each for each in given)
 
 
+def names(tables: Mapping[str, Any], key: Key) -> bool:
+    """Return whether tables hold a value at a key, or at a part of it."""
+    own: Any = tables
+    for name in key:
+        if not isinstance(own, Mapping):
+            return True
+        if name not in own:
+            return False
+        own = own[name]
+    return bool(key)
+
+
 def as_flag(error: ConfigError) -> ConfigError:
     """Return the error with its key written as a flag."""
     name = dotted(error.key)

@@ -6,7 +6,8 @@
     budget.success = 0.9
     budget.steps = 100_000_000
 
-A stage ends by its budget. Keys that it does not name have the league's values.
+A stage ends by its budget. Keys that it does not name have the league's values. On a command line
+`--stages.walk.learner.lr 1e-4` sets a key of one stage, of a preset too.
 """
 
 from collections import Counter
@@ -14,7 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from league.config.schema import ConfigError, Key, bare, literal, refuse
+from league.config.flags import Given
+from league.config.schema import ConfigError, Key, bare, dotted, literal, refuse
 from league.config.sections import check_name
 
 KEY = "stages"
@@ -51,6 +53,44 @@ def read(tables: Any) -> tuple[Stage, ...]:
     if count > 1:
         raise ConfigError((KEY,), f"{KEY}: {count} are called {name}; give each a name of its own")
     return tuple(stages)
+
+
+def apart(given: Given) -> tuple[dict[Key, str], dict[str, dict[Key, str]]]:
+    """Return the flags of the league, and those of its stages by their names. Raises ConfigError for one without a key
+    of a stage, or with one that all stages share.
+    """
+    own = {key: text for key, text in given.items() if key[0] != KEY}
+    of_stages: dict[str, dict[Key, str]] = {}
+    for key, text in given.items():
+        if key[0] != KEY:
+            continue
+        if len(key) < 3:
+            raise ConfigError(key, f"--{dotted(key)}: name a stage and a key of it: --{KEY}.match.learner.lr 1e-4")
+        if key[2] in OF_THE_LEAGUE:
+            raise ConfigError(key, f"--{dotted(key)}: is the same in all stages; give --{dotted(key[2:])}")
+        of_stages.setdefault(key[1], {})[key[2:]] = text
+    return own, of_stages
+
+
+def find(flag: str, stages: Sequence[Stage]) -> Stage | None:
+    """Return the stage of that name, where a flag has `_` for `-`; None if there is none."""
+    return next((each for each in stages if each.name.replace("-", "_") == flag), None)
+
+
+def as_given(key: Key, stages: Sequence[Stage]) -> Key:
+    """Return a key of a stage, which has its number, as a flag gives it: with its name. Other keys stay."""
+    if key[:1] != (KEY,) or not key[1:2] or not key[1].isdecimal():
+        return key
+    return (KEY, stages[int(key[1])].name.replace("-", "_"), *key[2:])
+
+
+def number_of(flag: str, stages: Sequence[Stage]) -> int:
+    """Return the number of a flag's stage. Raises ConfigError, with the names that there are."""
+    found = find(flag, stages)
+    if found is not None:
+        return stages.index(found)
+    there = f"there are {', '.join(each.name for each in stages)}" if stages else "this league has no stages"
+    raise ConfigError((KEY, flag), f"--{KEY}.{flag}: no stage has that name; {there}")
 
 
 def written(stages: Sequence[Stage]) -> str:

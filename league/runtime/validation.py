@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 from agents.settings import HAPPO
 from arenas.errors import ArenaError, EngineError, describe_error, source_files
-from league.config.experiment import Config, check_classes
+from league.config.build import build as build_config
+from league.config.experiment import Config
+from league.config.learner_checks import check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.state.team_exchange import as_made
@@ -61,8 +63,14 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
         raise ConfigError(("engine",), "deterministic: engine warp does not repeat itself to the bit; use engine c")
     if config.workers.train:  # otherwise other machines learn
         _validate_device(config)
+        _validate_batch(config)
         _validate_memory(config, arena)
     return arena
+
+
+def _validate_batch(config: Config) -> None:
+    """Raise ConfigError if a batch cannot be divided as asked, where training has this machine's number of worlds."""
+    build_config(Config, {"training": {"worlds": worlds(config)}}, config)
 
 
 def roster(config: Config, teams: list[str]) -> tuple[PlayerSettings, ...]:

@@ -8,11 +8,13 @@ from pathlib import Path
 from league.commands.options import STORE, options, positional
 from league.config import experiment as configuration
 from league.config import flags, presets, toml
+from league.config import stages as parts
 from league.config.durations import seconds
 from league.config.experiment import Config
 from league.config.flags import SplitArguments
 from league.config.former_names import Former, deprecation, present_names
 from league.config.schema import ConfigError, Key, settings
+from league.config.stages import Stage
 from league.queries.query import only_league
 from league.state.curriculum_stage import course
 from storage.errors import NotAStore
@@ -67,6 +69,8 @@ class RunRequest:
         """Return the error with the place where the setting was given: the flag, or the file and the line."""
         if flags.is_of(error.key, self.given):
             return flags.as_flag(error)
+        if flags.is_of(parts.as_given(error.key, self.config.stages), self.given):
+            return ConfigError(error.key, error.message)  # which names the stage
         if self.text is None or not error.key:
             return error
         key = self.former.get(error.key, error.key)
@@ -77,8 +81,8 @@ def read(args: Sequence[str]) -> RunRequest:
     """Read a command line, and the file or store that it names. Raises ConfigError or StorageError, one line."""
     names = {flags.option(f) for f in settings(RunOptions)}
 
-    def split(base: Config) -> SplitArguments:
-        return flags.split(args, lambda key: _is_switch(key, base))
+    def split(base: Config, stages: Sequence[Stage] = ()) -> SplitArguments:
+        return flags.split(args, lambda key: _is_switch(key, base, stages))
 
     def settings_in(arguments: SplitArguments) -> dict[Key, str]:
         return {key: value for key, value in arguments.given.items() if not (len(key) == 1 and key[0] in names)}
@@ -90,20 +94,24 @@ def read(args: Sequence[str]) -> RunRequest:
     league = arguments.given.get(("league",))
     text, source, preset = _under(arguments, first.get("preset"), first.get("store") or STORE, league)
     given = settings_in(arguments)
-    base = configuration.base_of(toml.parse(text, source), given, source, text) if text is not None else preset
+    table = {} if text is None else toml.parse(text, source)
+    base = configuration.base_of(table, given, source, text) if text is not None else preset
     assert base is not None
-    arguments = split(base)
+    stages = parts.read(table[parts.KEY]) if parts.KEY in table else base.stages
+    arguments = split(base, stages)
     given = settings_in(arguments)
     for key in given:
-        if flags.find(key, Config, base) is None:
+        if key[0] != parts.KEY and flags.find(key, Config, base) is None:
             every = [*names, *(".".join(k) for k in flags.every(Config, base))]
             raise flags.unknown(key, every)
     own = arguments._replace(given={key: value for key, value in arguments.given.items() if key not in given})
     chosen = options(RunOptions, own, "run")
-    given, old_flags = flags.present(given, Config, base)
+    of_stages = {key: text for key, text in given.items() if key[0] == parts.KEY}
+    given, old_flags = flags.present({k: v for k, v in given.items() if k not in of_stages}, Config, base)
     over = _budgeted(chosen, given)
-    config = configuration.change(base, over) if text is None else configuration.loads(text, source, over)
     old_flags |= present_names(flags.values(over, Config, base), Config, base)[1]
+    over |= of_stages
+    config = configuration.change(base, over) if text is None else configuration.loads(text, source, over)
     continued = text is not None and chosen.file is None
     former = {} if text is None else configuration.former_names(text, source)
     if deprecated := old_flags | ({} if continued else former):  # nobody typed what a store holds
@@ -111,8 +119,9 @@ def read(args: Sequence[str]) -> RunRequest:
     return RunRequest(chosen, config, continued, arguments.help, text, source, over, former)
 
 
-def _is_switch(key: Key, base: Config) -> bool | None:
+def _is_switch(key: Key, base: Config, stages: Sequence[Stage]) -> bool | None:
     own = flags.is_switch(key, RunOptions)
+    key, base = configuration.within(key, base, stages)
     return own if own is not None else flags.is_switch(key, Config, base)
 
 
@@ -147,7 +156,7 @@ def _under(
     return None, "", presets.preset("quickstart")
 
 
-def _budgeted(chosen: RunOptions, given: flags.Given) -> flags.Given:
+def _budgeted(chosen: RunOptions, given: flags.Given) -> dict[Key, str]:
     """Return the flags, with those of the run itself under the keys of the settings that they stand for."""
     over = dict(given)
     stands_for: dict[Key, tuple[str, str]] = {}

@@ -35,6 +35,7 @@ def duel(**changes: object) -> configuration.Config:
         ('[rating]\nscripts = ["idle", "clown"]', "rating.scripts", "no script 'clown' (centre-holder, idle,"),
         ('[budget]\nscore = 0.8\nagainst = ["clown"]', "budget.against", "no script 'clown' (centre-holder, idle,"),
         ('[arena]\nname = "pursuit"\n[budget]\nscore = 0.8\nagainst = ["runner"]', "budget.against", "than prey can"),
+        ("[learner]\nminibatches = 1000000", "learner.minibatches", "a batch has only"),  # of the machine's own size
         ('[[players]]\nteam = "green"', "players.0.team", "the arena's teams are blue, red"),
         ('[[players]]\nteam = "blue"', "players", "nobody plays team red"),
         ('[[players]]\nteam = "blue"\nname = "idle"\n[[players]]\nteam = "red"', "players", "name of a script"),
