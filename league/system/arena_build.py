@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 def worlds(config: Config) -> int:
-    """Return the number of worlds that training simulates at once, on all its devices; raises nothing."""
-    on_gpus = backend() == "gpu"
-    each = batch_sizes.training(config.arena.name, backend()) * (config.training.devices if on_gpus else 1)
-    return config.training.worlds or each
+    """Return the number of worlds that training simulates at once, a multiple of its devices; raises nothing."""
+    devices, size = config.training.devices, batch_sizes.training(config.arena.name, backend())
+    each = size if backend() == "gpu" else max(1, size // devices)  # ranks on a CPU share its cores
+    return config.training.worlds or each * devices
 
 
 def rating_batch(config: Config) -> batch_sizes.Batch:

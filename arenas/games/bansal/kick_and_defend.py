@@ -5,9 +5,10 @@
 | result             | the ball is over the goal line between the posts           | +result  | -result                |
 |                    | the ball is past the line, or comes back, or time is up    | -result  | +result, touch, stand  |
 |                    | the keeper is too far from its line: a foul                | 0        | -result                |
+| result             | it falls, with `rules.falls_lose`                          | -result  | -result                |
 | shaping            | every control step                                         | see `KickAndDefendReward`         |
 
-A ball comes back if it moves away from the goal faster than 1 m/s. Events: `goal`, `save`, `foul`, `touch`.
+By default who falls plays on. A ball comes back if it moves away from the goal faster than 1 m/s. Events: `goal`, `save`, `foul`, `touch`.
 """
 
 from typing import NamedTuple, Unpack
@@ -71,7 +72,8 @@ class KickAndDefend(Contest):
         return Legend(
             score="1 for the kicker if the ball is over the goal line between the posts, or the keeper is more than"
             f" {self.rules.box:g} m from its line; 1 for the keeper if the ball is past the line elsewhere, moves back"
-            f" faster than {BACK:g} m/s, or time is up",
+            f" faster than {BACK:g} m/s, or time is up"
+            + ("; 1 for the other if one falls, ½ each if both do" if self.rules.falls_lose else ""),
             rewards=dict.fromkeys(("result", "touch", "stand"), ""),
             shapings=dict.fromkeys(("forward", "approach", "ball", "control", "alive"), ""),
             events={
@@ -122,12 +124,13 @@ class KickAndDefend(Contest):
         foul = ~goal & (now.xyz[1, 0] < LINE - self.rules.box)
         back = (velocity[0] < 0.0) & (jnp.sqrt(jnp.sum(velocity**2)) > BACK)
         saved = ~goal & ~foul & ((ball[0] > LINE) | back | self.late(physics))
-        stands = now.xyz[1, 2] > self.rules.fall_height
+        stands = now.xyz[:, 2] > self.rules.fall_height
+        fell = self.rules.falls_lose & ~(goal | foul | saved) & ~stands
         w, bonus = self.weights, saved * KEEPER
         rewards = {
-            "result": w["result"] * (goal * BOTH - saved * BOTH - foul * KEEPER),
+            "result": w["result"] * (goal * BOTH - saved * BOTH - foul * KEEPER - fell),
             "touch": w["touch"] * shot.touched * bonus,
-            "stand": w["stand"] * stands * bonus,
+            "stand": w["stand"] * stands[1] * bonus,
         }
         dt, gap_xy = self.timing.control_interval, ball[:2] - now.xyz[0, :2]
         before_goal = jnp.abs(now.xyz[1, 1]) <= self.rules.mouth
@@ -139,11 +142,12 @@ class KickAndDefend(Contest):
             "control": common["control"],
             "alive": common["alive"] * jnp.where(before_goal, 1.0, KICKER),
         }
-        score = jnp.where(goal | foul, KICKER, jnp.where(saved, KEEPER, 0.5))
+        after_falls = jnp.where(jnp.all(fell), 0.5, fell[::-1] * 1.0)  # of whom the other's fall lets win
+        score = jnp.where(goal | foul, KICKER, jnp.where(saved, KEEPER, after_falls))
         flags = {"goal": goal & (KICKER > 0), "save": saved & (KEEPER > 0), "foul": foul & (KEEPER > 0)}
         events = {**flags, "touch": touch & (KEEPER > 0)}
         game = game._replace(own=shot)
-        return game, self.verdict(game, rewards, shapings, score, goal | foul | saved, events)
+        return game, self.verdict(game, rewards, shapings, score, goal | foul | saved | jnp.any(fell), events)
 
     def markers(self, physics: Physics, game: GameState) -> dict[str, Array]:
         """Return the goal line between the posts, and the edge of the keeper's box."""

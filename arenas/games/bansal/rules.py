@@ -102,6 +102,9 @@ class KickAndDefendRules(ContestRules):
     """Share of the full ranges in which kicker, keeper and ball start; theirs grows while they learn."""
     touch: float = field(default=0.02, metadata={"low": 0.0, "high": 0.5})
     """The keeper touches the ball when they are this near at the end of a control step, m."""
+    falls_lose: bool = False
+    """Let who falls lose at once, for a first stage of learning: else most of a rollout is of bodies that lie on the
+    ground, and nobody learns to walk."""
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ def test_more_devices_than_gpus_are_refused_and_on_a_cpu_they_are_processes(monk
             validate(spread(3))
         gpus("")
         assert validate(spread(3)).name == "rock-paper-scissors"
+        assert worlds(spread(3)) % 3 == 0
     finally:
         devices.gpus.cache_clear()
 

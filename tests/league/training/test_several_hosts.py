@@ -20,7 +20,7 @@ from league.training.data_parallel.several_hosts import Ranks
 from storage.store import Store
 from tests.faults.servers import free_port
 from tests.faults.supervisors.hosts import Host, ip, namespaces
-from tests.league.conftest import ENVIRONMENT, call, command, start, wait_for
+from tests.league.conftest import ENVIRONMENT, call, command, ran_once, start, wait_for
 from tests.league.training.test_data_parallel import LEAGUE, Seat, children, spoil
 
 ITERATIONS = 60
@@ -42,10 +42,7 @@ def ends(folder: Path) -> dict:
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory) -> dict:
     """Checkpoints at the end of the league whose ranks its own worker starts."""
-    folder = tmp_path_factory.mktemp("own")
-    done = call(*RUN, *SHORT, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return ends(folder)
+    return ends(ran_once(tmp_path_factory, "own-start", *RUN[1:], *SHORT))
 
 
 @contextmanager

@@ -25,6 +25,11 @@ def kicking():
     return built("kick-and-defend")
 
 
+@pytest.fixture(scope="module")
+def strict():
+    return built("kick-and-defend", falls_lose=True)
+
+
 RUNS = [
     # bases, time, the outcome with the first team on the left, then on the right
     (((3.9, 0, 0.5), (-3.9, 0, 0.5)), 1.0, (None, (0, 0)), (None, (0, 0))),
@@ -85,6 +90,26 @@ def test_goals_saves_and_fouls(kicking, ball, keeper, time, score, rewards):
     assert outcome(verdict) == (score, rewards)
     swapped = judged(kicking, ((x, 1.0, z), kicker), own, second_first=True, ball=ball, time=time)
     assert outcome(swapped) == (score and score[::-1], rewards[::-1])
+
+
+FALLS = [
+    # z of kicker and keeper, ball, score and rewards of kicker and keeper
+    (1.3, 0.7, (0.0, 0.0, 0.0), (1, 0), (0, -1)),
+    (0.7, 1.3, (0.0, 0.0, 0.0), (0, 1), (-1, 0)),
+    (0.7, 0.7, (0.0, 0.0, 0.0), (0.5, 0.5), (-1, -1)),
+    (0.7, 1.3, (4.1, 2.9, 3.0), (1, 0), (1, -1)),
+    (0.9, 0.9, (0.0, 0.0, 0.0), None, (0, 0)),
+]
+
+
+@pytest.mark.parametrize(("kicker", "keeper", "ball", "score", "rewards"), FALLS)
+def test_who_falls_loses_where_the_rules_say_so(kicking, strict, kicker, keeper, ball, score, rewards):
+    own, bases = Shot(jnp.zeros(2), jnp.zeros((), bool)), ((-2.0, 0.0, kicker), (3.0, 1.0, keeper))
+    assert outcome(judged(strict, bases, own, ball=ball)) == (score, rewards)
+    swapped = judged(strict, bases[::-1], own, second_first=True, ball=ball)
+    assert outcome(swapped) == (score and score[::-1], rewards[::-1])
+    plays_on = outcome(judged(kicking, bases, own, ball=ball))
+    assert plays_on == (((1, 0), (1, -1)) if ball[0] > 4 else (None, (0, 0)))
 
 
 @pytest.mark.parametrize(("y", "touches"), [(0.0, True), (1.0, False)])
