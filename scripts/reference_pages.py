@@ -130,7 +130,7 @@ def configuration() -> str:
         *_tables(config),
         "## `[[stages]]`",
         "The stages of a curriculum, in order: `name`, and any other keys with values that differ from those above"
-        " ([curricula](curriculum.md)).",
+        " ([curricula](curriculum.md)). `--stages.match.learner.lr 1e-4` sets a key of the stage `match` alone.",
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -26,7 +26,8 @@ def page(command: str, what: str, options: type, config: Any = None) -> str:
         lines += ["", *_wrap(
             "Settings: the keys of league.toml, each with the value that it has now; `league init` writes them with"
             " all that there is to know of each. A list is written with commas, a switch is set by --name and unset by"
-            " --no-name, and none unsets what may be unset.", ""
+            " --no-name, and none unsets what may be unset. --stages.match.learner.lr 1e-4 is for the stage match of a"
+            " curriculum alone.", ""
         )]  # fmt: skip
         for title, entries in groups(config):
             lines += ["", *_wrap(title, ""), *entries]

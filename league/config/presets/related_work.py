@@ -83,9 +83,10 @@ def you_shall_not_pass() -> Config:
 
 def kick_and_defend() -> Config:
     """Humanoids of which one kicks a ball at a goal and the other keeps it, in both roles (Bansal et al. 2018); for a
-    GPU. They begin near the middle of the ranges of their starts.
+    GPU. They begin near the middle of the ranges of their starts, where who falls loses.
     """
-    easy = Stage("near", {"arena": {"rules": {"spread": 0.1}}, "budget": {"steps": 400_000_000}})
+    rules = {"spread": 0.1, "falls_lose": True}
+    easy = Stage("near", {"arena": {"rules": rules}, "budget": {"steps": 200_000_000}})
     return replace(_contest("kick-and-defend", 800_000_000), stages=(easy, Stage("full", {})))
 
 
