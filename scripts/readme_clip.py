@@ -34,7 +34,7 @@ def matches() -> list[Recording]:
     with tempfile.TemporaryDirectory() as folder, Store.open(folder, create=True) as store:
         create(store, config, config.arena.build(engine="c", worlds=1))
         opened = Open(store, "clip")
-        played = exhibition(pairing(opened, *SIDES), EPISODES, EPISODES)
+        played = exhibition(pairing(opened, *SIDES), EPISODES, EPISODES).matches
         return [from_bytes(store.blobs.get(str(match.recording))) for match in played]
 
 

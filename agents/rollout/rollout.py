@@ -21,6 +21,7 @@ CUT_SEED = 0x7FFFFFFF  # folded into the key that also places the robots; an are
 
 
 Memory = Mapping[str, Array]  # (N, units) by agent name, for agents with a policy in their stack that remembers
+Events = dict[str, Array]  # (N, teams) bool by name
 Frozen = Mapping[str, np.ndarray]  # (N, obs) bool by agent name: numbers that its policy sees as they were at the start
 
 
@@ -78,6 +79,7 @@ class PlayedEpisodes(NamedTuple):
     running: Array  # (T, R) bool: the episode had not ended before this decision
     seen: CriticObservations | None = None  # if requested
     causes: Array | None = None  # (N,) uint8, bits of `void_causes.Cause`; None where not recorded
+    events: Events = {}  # noqa: RUF012  (it happened to the team in the episode)
 
 
 Act = Callable[
@@ -190,6 +192,7 @@ class MatchState(NamedTuple):
     episode_keys: Array  # (N,) keys
     decisions: Array  # (N,) int32: length of each episode so far
     at: Array  # () int32: decisions of the longest episode so far
+    events: Events  # it has happened to the team in this episode
     first: dict[str, Array] | None = None  # (N, obs) at the start, of agents whose observations are partly frozen
 
 
@@ -248,8 +251,9 @@ def finish_match(match_state: MatchState, records: EpisodeRecords) -> PlayedEpis
     """Return the episodes of a match once all of them have ended."""
     state = match_state.state
     return PlayedEpisodes(
-        state.verdict.score, state.void, state.at_fault, match_state.decisions, *records, causes=state.causes
-    )
+        state.verdict.score, state.void, state.at_fault, match_state.decisions, *records, causes=state.causes,
+        events=match_state.events,
+    )  # fmt: skip
 
 
 def _match(
@@ -273,7 +277,7 @@ def _match(
         first = {agent: state.observations[agent] for agent in masks} or None
         return MatchState(
             state, _fit_memory(None, stacks, number), episode_keys, jnp.zeros(number, jnp.int32),
-            jnp.zeros((), jnp.int32), first,
+            jnp.zeros((), jnp.int32), jax.tree.map(jnp.zeros_like, state.verdict.events), first,
         )  # fmt: skip
 
     def go_on(
@@ -281,8 +285,8 @@ def _match(
     ) -> tuple[MatchState, EpisodeRecords]:
         episode_keys, first = match_state.episode_keys, match_state.first or {}
 
-        def decision(carry: tuple[State, Memory | None], t: Array) -> tuple[tuple[State, Memory | None], tuple]:
-            state, memory = carry
+        def decision(carry: tuple[State, Memory | None, Events], t: Array) -> tuple[tuple, tuple]:
+            state, memory, events = carry
             keys = jax.vmap(lambda key: jax.random.fold_in(key, t))(episode_keys)
             shown = state.observations | {
                 agent: jnp.where(mask, first[agent], state.observations[agent]) for agent, mask in masks.items()
@@ -297,14 +301,17 @@ def _match(
                 ~state.done[kept],
                 critic_observations(state) if seen else None,
             )
-            return (after, memory), (records, ~state.done)
+            events = jax.tree.map(jnp.logical_or, events, after.verdict.events)  # an ended episode keeps its verdict
+            return (after, memory, events), (records, ~state.done)
 
-        (state, memory), (records, on) = jax.lax.scan(
-            decision, (match_state.state, match_state.memory), match_state.at + jnp.arange(length)
+        (state, memory, events), (records, on) = jax.lax.scan(
+            decision,
+            (match_state.state, match_state.memory, match_state.events),
+            match_state.at + jnp.arange(length),
         )
         decisions = match_state.decisions + on.sum(axis=0, dtype=jnp.int32)
         return match_state._replace(
-            state=state, memory=memory, decisions=decisions, at=match_state.at + length
+            state=state, memory=memory, decisions=decisions, at=match_state.at + length, events=events
         ), records
 
     return begin, go_on

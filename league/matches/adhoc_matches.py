@@ -22,6 +22,7 @@ from league.state.team_exchange import as_made
 from storage.records import ArenaKey, Match, Purpose, RankedMatch, Snapshot
 
 if TYPE_CHECKING:
+    from agents.rollout.rollout import PlayedEpisodes
     from league.matches.evaluator import MatchEvaluator
 
 
@@ -126,8 +127,17 @@ def require_two_sides(opened: Open, what: str) -> None:
         raise ConfigError((), message)
 
 
-def exhibition(found: Pairing, episodes: int, recordings: int) -> list[Match | RankedMatch]:
-    """Play and file an exhibition, which counts for no rating; return its matches as filed.
+@dataclass(frozen=True)
+class Exhibition:
+    """The matches of an exhibition as filed, and what is not filed."""
+
+    matches: list[Match | RankedMatch]
+    events: dict[str, dict[str, float]]  # snapshot -> event -> share of its episodes in which it happened to its team
+    seconds: float  # of simulated time in an episode, mean; none void are counted
+
+
+def exhibition(found: Pairing, episodes: int, recordings: int) -> Exhibition:
+    """Play and file an exhibition, which counts for no rating.
 
     Sides change from one episode to the next if the rosters allow it. The first `recordings` episodes are recorded,
     each in a match of its own because a match has one recording; of one team or two the others count with the first
@@ -153,7 +163,23 @@ def exhibition(found: Pairing, episodes: int, recordings: int) -> list[Match | R
             seconds = evaluator.seconds * len(worlds) / (groups * each)
             matches.append(evaluator.match(games, seats, worlds, found.a, found.b, task, seconds, recording))
     found.keep(task, matches)
-    return [m for m in store.log(found.opened.league, "exhibition") if m.seed == task.seed]
+    filed = [m for m in store.log(found.opened.league, "exhibition") if m.seed == task.seed]
+    sound = order[~np.asarray(games.void)[order]]
+    decisions = float(np.asarray(games.decisions)[sound].mean()) if len(sound) else 0.0
+    events = _event_shares(games, [(world, seats[world // each]) for world in sound])
+    return Exhibition(filed, events, decisions * evaluator.arena.timing.decision_interval)
+
+
+def _event_shares(
+    games: "PlayedEpisodes", seatings: Sequence[tuple[int, tuple[Snapshot, ...]]]
+) -> dict[str, dict[str, float]]:
+    """Return by snapshot and event the share of its episodes with it; `seatings` are worlds and who had which team."""
+    seats = [(world, team, s.name) for world, seating in seatings for team, s in enumerate(seating)]
+    shares: dict[str, dict[str, float]] = {name: {} for _, _, name in seats}
+    for name in shares:
+        worlds, teams = np.array([(world, team) for world, team, who in seats if who == name]).T
+        shares[name] = {event: float(np.asarray(had)[worlds, teams].mean()) for event, had in games.events.items()}
+    return shares
 
 
 def _parts(

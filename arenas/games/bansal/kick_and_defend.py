@@ -8,7 +8,8 @@
 | result             | it falls, with `rules.falls_lose`                          | -result  | -result                |
 | shaping            | every control step                                         | see `KickAndDefendReward`         |
 
-By default who falls plays on. A ball comes back if it moves away from the goal faster than 1 m/s. Events: `goal`, `save`, `foul`, `touch`.
+By default who falls plays on. A ball comes back if it moves away from the goal faster than 1 m/s. Events: `goal`,
+`save`, `foul`, `touch`.
 """
 
 from typing import NamedTuple, Unpack

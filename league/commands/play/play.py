@@ -8,7 +8,7 @@ from typing import Any, Literal
 from league.commands.options import Where, parse, place_flags, positional
 from league.commands.progress_bar import report_kernels
 from league.config.schema import ConfigError
-from league.matches.adhoc_matches import Pairing, exhibition, pairing
+from league.matches.adhoc_matches import Exhibition, Pairing, exhibition, pairing
 from league.queries.query import score_text
 from league.state.match_results import results_of
 from matchmaking.ratings.scores import Score, score_interval
@@ -51,11 +51,13 @@ def play(args: list[str]) -> int:
     with options.open() as opened:
         found = pairing(opened, options.a, options.b, *options.others)
         with report_kernels():
-            matches = exhibition(found, options.episodes, recordings)
+            played = exhibition(found, options.episodes, recordings)
+    matches = played.matches
     if options.format == "json":
-        print(json.dumps(_as_json(found, matches), indent=2))
+        print(json.dumps(_as_json(found, played), indent=2))
         return 0
     print(_ranking(found, matches) if found.others else _result(found, matches))
+    print("\n".join(_happened(played)))
     for match in matches:
         if match.recording is not None:
             print(f"  league watch {match.id} {place_flags(options.store, options.blobs)}".rstrip())
@@ -84,13 +86,27 @@ def _ranking(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
     return "\n".join(lines)
 
 
-def _as_json(found: Pairing, matches: Sequence[Match | RankedMatch]) -> dict[str, Any]:
-    """Return counts and score of each snapshot against the others; of games that are all void the score is null."""
-    names = list(dict.fromkeys(s.name for s in found.players))
+def _happened(played: Exhibition) -> list[str]:
+    """Describe how long episodes took, and in which share of its episodes each event happened to a snapshot's team."""
+    lines = [f"  An episode takes {played.seconds:.1f} s."] if played.seconds else []
+    for name, events in played.events.items():
+        if told := ", ".join(f"{event} {100 * share:.0f} %" for event, share in sorted(events.items())):
+            lines.append(f"  {name}, in its episodes: {told}")
+    return lines
+
+
+def _as_json(found: Pairing, played: Exhibition) -> dict[str, Any]:
+    """Return counts and score of each snapshot against the others, and how often events happened to its team; of games
+    that are all void the score is null.
+    """
+    names, matches = list(dict.fromkeys(s.name for s in found.players)), played.matches
     return {
         "episodes": sum(match.episodes for match in matches),
         "voids": sum(match.voids for match in matches),
-        "results": [{"name": name, **_row(*_counts(matches, name))} for name in names],
+        "mean_seconds": played.seconds,
+        "results": [
+            {"name": name, **_row(*_counts(matches, name)), "events": played.events.get(name, {})} for name in names
+        ],
         "recorded_matches": [match.id for match in matches if match.recording is not None],
     }
 

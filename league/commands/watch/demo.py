@@ -100,7 +100,7 @@ def match(chosen: Demo, seed: int) -> Recording:
         for name in chosen.sides:
             policy_file.bring_in(opened, policy_file.read(policy_file.find(name)), name)
         pair = pairing(opened, chosen.sides[0], (*chosen.sides, None)[1])
-        played = exhibition(pair, chosen.episodes, chosen.episodes)
+        played = exhibition(pair, chosen.episodes, chosen.episodes).matches
         recordings = [from_bytes(store.blobs.get(str(each.recording))) for each in played]
     won = [each for each in recordings if max(each.header.score) > 0.5]
     return min(won, key=lambda each: abs(each.time[-1] - LENGTH)) if won else recordings[0]

@@ -168,6 +168,15 @@ def test_every_world_plays_one_episode_and_stops(games, short_sumo):
     assert not games.at_fault.any()
 
 
+def test_an_event_of_an_episode_happened_in_one_of_its_control_steps(games):
+    assert set(games.events) == {"fall", "out"}
+    for name, happened in games.events.items():
+        within = games.running[:, None, :, None] & games.frames.events[name]
+        np.testing.assert_array_equal(happened[list(RECORDED)], within.any(axis=(0, 1)))
+    lost = games.score == 0.0
+    np.testing.assert_array_equal(lost & ~games.events["fall"], games.events["out"] & ~games.events["fall"])
+
+
 def test_a_world_rests_once_its_episode_is_over(games):
     """On the C engine, which leaves it out of its steps."""
     over = 0

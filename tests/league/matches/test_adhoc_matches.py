@@ -179,7 +179,10 @@ def test_an_exhibition_is_recorded_and_counts_for_no_rating(tmp_path, capsys):
     code, out, _ = said(capsys, *asked, "--episodes", "5", "--record", "3")
     assert code == 0
     assert "Exhibition of sprinter against idle: 5 won, 0 drawn, 0 lost." in out
-    assert [line.strip() for line in out.splitlines()[1:]] == [f"league watch {n} --store {pucks}" for n in (1, 2, 3)]
+    took, *events = out.splitlines()[1:4]
+    assert 0.1 < float(took.removeprefix("  An episode takes ").removesuffix(" s.")) < 10
+    assert events == ["  sprinter, in its episodes: arrival 100 %", "  idle, in its episodes: arrival 0 %"]
+    assert [line.strip() for line in out.splitlines()[4:]] == [f"league watch {n} --store {pucks}" for n in (1, 2, 3)]
     with Open(Store.open(pucks)) as opened:
         matches = opened.store.matches("main")
         assert [(m.purpose, m.wins, m.side_wins) for m in matches] == [
@@ -193,7 +196,9 @@ def test_an_exhibition_is_recorded_and_counts_for_no_rating(tmp_path, capsys):
         assert opened.ladders() == []
         assert not LeagueState.of(opened.store, "main").ladder.payoff.games.any()
     _, out, _ = said(capsys, *asked, "--episodes", "1", "--format", "json")
-    assert json.loads(out)["recorded_matches"] == [4]
+    told = json.loads(out)
+    assert told["recorded_matches"] == [4]
+    assert [each["events"] for each in told["results"]] == [{"arrival": 1.0}, {"arrival": 0.0}]
     seeds = {m.seed for m in log(pucks)}
     assert len(seeds) == 2  # another exhibition is another
     _, table, _ = said(capsys, "matches", "--store", str(pucks))
