@@ -18,7 +18,6 @@ from league.config import stages as parts
 from league.config.build import build
 from league.config.durations import seconds
 from league.config.former_names import Former, present_names
-from league.config.learner_checks import check_learner_flags
 from league.config.schema import ConfigError, Key
 from league.config.sections import (
     Budget,
@@ -281,7 +280,7 @@ def loads(
         table, former = _present_names(table, base)
         tables = table.pop(parts.KEY, None)
         config = build(Config, flags.merged(table, flags.values(given, Config, base)), base)
-        check_learner_flags(config, given)
+        flags.check_learner_flags(config, given)
         config = config if tables is None else replace(config, stages=parts.read(tables))
         if flags.is_of(WORLDS, given) or flags.names(over or {}, WORLDS):
             config = replace(config, stages=tuple(_bounded(each, config.training.worlds) for each in config.stages))
@@ -363,7 +362,7 @@ def change(base: Config, given: flags.Given) -> Config:
         base = replace(base, arena=default(name).arena)
     try:
         config = build(Config, flags.values(given, Config, base), base)
-        check_learner_flags(config, given)
+        flags.check_learner_flags(config, given)
     except ConfigError as error:
         raise flags.as_flag(error) from None
     return _with_stage_flags(config, of_stages)

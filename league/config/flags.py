@@ -10,12 +10,26 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import Field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arenas.arena_settings import Table
 from league.config.build import TRUTHS, from_text
 from league.config.former_names import Former
-from league.config.schema import ConfigError, Key, dotted, hints, inner_table, key_of, removed, required, settings
+from league.config.schema import (
+    ConfigError,
+    Key,
+    dotted,
+    hints,
+    inner_table,
+    key_of,
+    refuse,
+    removed,
+    required,
+    settings,
+)
+
+if TYPE_CHECKING:
+    from league.config.experiment import Config
 
 Given = Mapping[Key, str]
 """The text of flags by their keys."""
@@ -205,6 +219,35 @@ def names(tables: Mapping[str, Any], key: Key) -> bool:
             return False
         own = own[name]
     return bool(key)
+
+
+def check_learner_flags(config: "Config", given: Given) -> None:
+    """Raise ConfigError for a flag of HAPPO where no player learns by it. A file may have such keys: presets do."""
+    from agents.settings import HAPPO  # late: a query does not import agents
+
+    if any(key[0] == "learner" for key in given):
+        check_classes(config)
+    classes = {player.class_ or config.learner.class_ for player in config.players} or {config.learner.class_}
+    if HAPPO in classes:
+        return
+    for key in given:
+        if key[0] == "learner" and key[1] not in ("class", "settings", "skill", "critic_input"):
+            raise ConfigError(
+                key,
+                f"{dotted(key)} = {given[key]}: is a setting of {HAPPO}, and learner.class is {config.learner.class_};"
+                f" give its own as --learner.settings.{key[-1]}",
+            )
+
+
+def check_classes(config: "Config") -> None:
+    """Raise ConfigError if a player would learn by a learner that was removed."""
+    from agents.settings import REMOVED
+
+    named = {("learner", "class"): config.learner.class_}
+    named |= {("players", str(i), "class"): player.class_ or "" for i, player in enumerate(config.players)}
+    for key, name in named.items():
+        if name in REMOVED:
+            raise refuse(key, name, REMOVED[name])
 
 
 def as_flag(error: ConfigError) -> ConfigError:

@@ -10,7 +10,7 @@ from agents.settings import HAPPO
 from arenas.errors import ArenaError, EngineError, describe_error, source_files
 from league.config.build import build as build_config
 from league.config.experiment import Config
-from league.config.learner_checks import check_classes
+from league.config.flags import check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import PlayerSettings, mains, named_players
 from league.state.team_exchange import as_made
