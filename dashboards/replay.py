@@ -1,6 +1,6 @@
 """A recorded match as bodies in the world: everything there is to draw. Only MuJoCo and numpy are needed."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +13,7 @@ from storage.recordings.recording import Recording
 
 FORCE_LENGTH = 1.5  # of a segment for the largest force, in sizes of the largest robot
 FIRST_COLLISION_GROUP = 3  # MuJoCo's own viewer hides geom groups 3 to 5 too
+FEW = 3  # robots of a side that all have a label
 EYE, TARGET = np.array([0.4, -1.6, 1.25]), np.array([0.0, -0.1, 0.0])  # of the viewer's camera, in radii of the scene
 
 
@@ -36,6 +37,13 @@ class Replay:
     radius: float  # m, distance from the origin within which everything visible lies
     players: tuple[MatchPlayer, ...]  # by side
     robots: tuple[Robot, ...]  # the robots that have a body
+
+    @property
+    def labelled(self) -> tuple[Robot, ...]:
+        """The robots with their player's label: all of a small side; of a swarm, which labels would hide, the first."""
+        sizes = Counter(robot.side for robot in self.robots)
+        first = {side: next(robot for robot in self.robots if robot.side == side) for side in sizes}
+        return tuple(robot for robot in self.robots if sizes[robot.side] <= FEW or robot is first[robot.side])
 
     def label(self, robot: Robot) -> np.ndarray:
         """Return the positions (T, 3) of a robot's label in m, high enough to leave the robot visible from afar."""

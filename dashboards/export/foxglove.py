@@ -111,7 +111,7 @@ def _transforms(kinds: dict[str, Any], scene: Replay, stamp: Any, step: int) -> 
 
 def _entities(kinds: dict[str, Any], scene: Replay, recording: Recording) -> Iterator[Any]:
     """Yield the shapes of every body, and the label of the player above the base of each robot."""
-    model, labels = scene.model, {robot.body: robot for robot in scene.robots}
+    model, labels = scene.model, {robot.body: robot for robot in scene.labelled}
     for body in range(model.nbody):
         entity = kinds["SceneEntity"](frame_id=_frame(model, body), id=_frame(model, body), frame_locked=True)
         for kind, geoms in visible_geoms(model, body).items():

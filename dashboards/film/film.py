@@ -111,7 +111,7 @@ class Film:
 
     def _labels(self, pen: Any, step: int) -> None:
         font = _font(self.size[1] / 40)
-        for robot in self.scene.robots:
+        for robot in self.scene.labelled:
             player = self.scene.players[robot.side]
             over = self.scene.label(robot)[step]
             x, y, ahead = self.camera.project(over[None])[0] / [SUPERSAMPLING, SUPERSAMPLING, 1]

@@ -46,6 +46,8 @@ def _draw_players(rr: Any, stream: Any, recording: Recording, scene: Replay) -> 
             ("sides", side, rr.Transform3D.columns(translation=below)),
             ("trails", trail, rr.Points3D.columns(positions=below + ground)),
         ):
+            if what == "labels" and robot not in scene.labelled:
+                continue
             path = rr.new_entity_path(["world", what, *robot.agent.split("/")])
             stream.log(path, look, static=True)
             stream.send_columns(path, when, move)

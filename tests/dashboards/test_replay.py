@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashboards.errors import ViewerError
-from dashboards.replay import FORCE_LENGTH, drawn_markers, replay
+from dashboards.replay import FORCE_LENGTH, Robot, drawn_markers, replay
 from tests.dashboards.cars import STEPS, cars
 
 
@@ -51,3 +51,10 @@ def test_other_markers_are_drawn_as_they_were_told():
     kind, values = drawn_markers(match, replay(match))["ring"]
     assert kind == "circle"
     assert values == pytest.approx(match.markers["ring"])
+
+
+@pytest.mark.parametrize(("sizes", "labelled"), [((1, 1), [0, 1]), ((3, 2), [0, 1, 2, 3, 4]), ((8, 2), [0, 8, 9])])
+def test_of_a_large_side_only_the_first_robot_has_a_label(sizes, labelled):
+    robots = tuple(Robot(f"{side}/{i}", side, 1 + i, 0.1) for side, size in enumerate(sizes) for i in range(size))
+    scene = replace(replay(cars()), robots=robots)
+    assert [robots.index(robot) for robot in scene.labelled] == labelled

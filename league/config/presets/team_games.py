@@ -29,14 +29,14 @@ def tag() -> Config:
 
 def swarm() -> Config:
     """Eight pucks that want to reach a zone, and two rovers that guard it: networks of sets, one for all pucks and one
-    for both rovers, so that they can play in other numbers; for a GPU.
+    for both rovers, so that they can play in other numbers; for a GPU. Batches are small, since the game is slow.
     """
     config = default("swarm")
     learner = HappoConfig(
         Architecture((128, 128), entities=32), share_actors=True, lr=5e-4, critic_lr=1e-3, gamma=0.99,
-        entropy_coef=0.001, initial_std=0.5,
+        entropy_coef=0.001, initial_std=0.5, desired_kl=0.01,
     )  # fmt: skip
-    training = replace(config.training, shaping_steps=20_000_000, snapshots_per_doubling=2)
+    training = replace(config.training, worlds=2048, shaping_steps=20_000_000, snapshots_per_doubling=2)
     budget = Budget(training_time="20m", rating_time="2m")
     return replace(config, league="swarm", learner=learner, training=training, budget=budget)
 
