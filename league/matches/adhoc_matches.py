@@ -133,7 +133,7 @@ class Exhibition:
 
     matches: list[Match | RankedMatch]
     events: dict[str, dict[str, float]]  # snapshot -> event -> share of its episodes in which it happened to its team
-    seconds: float  # of simulated time in an episode, mean; none void are counted
+    seconds: float  # of simulated time in an episode, mean; void ones are left out
 
 
 def exhibition(found: Pairing, episodes: int, recordings: int) -> Exhibition:

@@ -1,9 +1,10 @@
 """The request of a command line of `league run`: its options, and its flags over a file, a preset or the store."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from league.commands.options import STORE, options, positional
 from league.config import experiment as configuration
@@ -97,8 +98,7 @@ def read(args: Sequence[str]) -> RunRequest:
     table = {} if text is None else toml.parse(text, source)
     base = configuration.base_of(table, given, source, text) if text is not None else preset
     assert base is not None
-    stages = parts.read(table[parts.KEY]) if parts.KEY in table else base.stages
-    arguments = split(base, stages)
+    arguments = split(base, _stages(table, base))
     given = settings_in(arguments)
     for key in given:
         if key[0] != parts.KEY and flags.find(key, Config, base) is None:
@@ -117,6 +117,16 @@ def read(args: Sequence[str]) -> RunRequest:
     if deprecated := old_flags | ({} if continued else former):  # nobody typed what a store holds
         print(f"league: {deprecation(deprecated)}", file=sys.stderr)
     return RunRequest(chosen, config, continued, arguments.help, text, source, over, former)
+
+
+def _stages(table: Mapping[str, Any], base: Config) -> Sequence[Stage]:
+    """Return the stages of a file, or of a preset; none where the file's are invalid, which is told with their line."""
+    if parts.KEY not in table:
+        return base.stages
+    try:
+        return parts.read(table[parts.KEY])
+    except ConfigError:
+        return ()
 
 
 def _is_switch(key: Key, base: Config, stages: Sequence[Stage]) -> bool | None:

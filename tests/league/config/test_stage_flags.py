@@ -82,6 +82,12 @@ def test_bad_flags_of_stages_are_refused_in_one_line(read, flags, line):
     assert "\n" not in str(refused.value)
 
 
+def test_an_invalid_stage_of_a_file_is_told_with_its_line(read, tmp_path):
+    (tmp_path / "cup.toml").write_text(FILE.replace('name = "match"', 'name = "match"\nseed = 3'))
+    with pytest.raises(ConfigError, match=r"^cup.toml:14: stages\[1\].seed: is the same in all stages"):
+        read("cup.toml", "--stages.match.learner.lr", "1e-4")
+
+
 def test_a_league_without_stages_has_no_flags_of_stages(read):
     with pytest.raises(ConfigError, match=r"^--stages.match: no stage has that name; this league has no stages$"):
         read("--preset", "quickstart", "--stages.match.learner.lr", "1e-4")
