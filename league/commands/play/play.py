@@ -43,8 +43,10 @@ class PlayOptions(Where):
 
 def play(args: list[str]) -> int:
     """Play an exhibition."""
-    what = "Play an exhibition: it is recorded for `league watch`, and counts for no rating. Its scores are told, and in"
-    what += " which share of the episodes each event, such as a goal or a fall, happened to whom."
+    what = (
+        "Play an exhibition: it is recorded for `league watch`, and counts for no rating. Its scores are told, and in"
+        " which share of the episodes each event, such as a goal or a fall, happened to whom."
+    )
     options = parse(PlayOptions, args, "play", what)
     recordings = options.episodes if options.record == "all" else min(int(options.record), options.episodes)
     if recordings > MOST:
