@@ -318,10 +318,14 @@ def _with_stage_flags(config: Config, of_stages: Mapping[str, flags.Given]) -> C
             present, _ = flags.present(given, Config, base)
             settings = flags.merged(own.settings, flags.values(present, Config, base))
         except ConfigError as error:
-            raise ConfigError((parts.KEY, own.name), f"stage {own.name}: {flags.as_flag(error).message}") from None
+            raise parts.refused(own, error) from None
         stages = (*config.stages[:number], replace(own, settings=settings), *config.stages[number + 1 :])
         config = replace(config, stages=stages)
-        stage(config, number)  # raises if its settings are invalid now
+        made = stage(config, number)  # raises if its settings are invalid now
+        try:
+            flags.check_learner_flags(made, present)
+        except ConfigError as error:
+            raise parts.refused(own, error) from None
     return config
 
 

@@ -10,6 +10,7 @@ A stage ends by its budget. Keys that it does not name have the league's values.
 `--stages.walk.learner.lr 1e-4` sets a key of one stage, of a preset too.
 """
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -66,6 +67,8 @@ def apart(given: Given) -> tuple[dict[Key, str], dict[str, dict[Key, str]]]:
             continue
         if len(key) < 3:
             raise ConfigError(key, f"--{dotted(key)}: name a stage and a key of it: --{KEY}.match.learner.lr 1e-4")
+        if key[2] == KEY:
+            raise ConfigError(key, f"--{dotted(key)}: a stage has no stages of its own")
         if key[2] in OF_THE_LEAGUE:
             raise ConfigError(key, f"--{dotted(key)}: is the same in all stages; give --{dotted(key[2:])}")
         of_stages.setdefault(key[1], {})[key[2:]] = text
@@ -91,6 +94,14 @@ def number_of(flag: str, stages: Sequence[Stage]) -> int:
         return stages.index(found)
     there = f"there are {', '.join(each.name for each in stages)}" if stages else "this league has no stages"
     raise ConfigError((KEY, flag), f"--{KEY}.{flag}: no stage has that name; {there}")
+
+
+def refused(own: Stage, error: ConfigError) -> ConfigError:
+    """Return the error of a flag of a stage: it names the stage, and options as they are given for it."""
+    message = error.message
+    if message.startswith("unknown option"):
+        message = re.sub("--(?!help)", f"--{KEY}.{own.name}.", message)
+    return ConfigError((KEY, own.name), f"stage {own.name}: {message}")
 
 
 def written(stages: Sequence[Stage]) -> str:

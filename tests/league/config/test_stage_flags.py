@@ -63,11 +63,13 @@ def test_a_flag_may_give_a_stage_another_arena(read):
     assert found["first-steps"].arena.name == "kick-and-defend"
 
 
+LX = "stage match: unknown option --stages.match.learner.lx: did you mean --stages.match.learner.lr? (--help lists all)"
 REFUSED = [
     (("--stages.mach.learner.lr", "1"), "--stages.mach: no stage has that name; there are first-steps, match"),
     (("--stages.match.seed", "3"), "--stages.match.seed: is the same in all stages; give --seed"),
     (("--stages.match", "3"), "--stages.match: name a stage and a key of it: --stages.match.learner.lr 1e-4"),
-    (("--stages.match.learner.lx", "3"), "stage match: unknown option --learner.lx: did you mean --learner.lr?"),
+    (("--stages.match.learner.lx", "3"), LX),
+    (("--stages.match.stages", "3"), "--stages.match.stages: a stage has no stages of its own"),
     (("--stages.match.learner.lr", "x"), 'stage match: learner.lr = "x": expected a number'),
     (("--stages.first-steps.learner.lr", "7"), "stage first-steps: learner.lr = 7.0: must be between 0.0 and 1.0"),
     (("--stages.match.arena.name", "chess"), "stage match: unknown arena 'chess'"),
@@ -80,6 +82,13 @@ def test_bad_flags_of_stages_are_refused_in_one_line(read, flags, line):
         read("cup.toml", *flags)
     assert str(refused.value).startswith(line)
     assert "\n" not in str(refused.value)
+
+
+def test_a_flag_of_happo_is_refused_for_a_stage_that_learns_otherwise(read, tmp_path):
+    own = f"{tmp_path / 'mine.py'}:Mine"
+    (tmp_path / "mine.py").write_text("class Mine: ...")
+    with pytest.raises(ConfigError, match=r"^stage match: learner.lr = 1e-4: is a setting of happo, and learner.class"):
+        read("cup.toml", "--learner.class", own, "--stages.match.learner.lr", "1e-4")
 
 
 def test_an_invalid_stage_of_a_file_is_told_with_its_line(read, tmp_path):
