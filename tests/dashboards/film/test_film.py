@@ -13,6 +13,7 @@ from dashboards.errors import ViewerError
 from dashboards.film import film
 from dashboards.film.film import Film, save_film
 from dashboards.identity import COLOURS, MatchPlayer
+from dashboards.replay import Replay
 from tests.dashboards.cars import cars
 
 SIZE = (320, 200)
@@ -70,6 +71,13 @@ def test_long_names_fit_at_the_top(length):
         found = coloured(top, colour)
         assert len(found) > 20
         assert found[:, 1].max() < size[0] - 5
+
+
+def test_robots_without_a_label_are_drawn_as_in_a_film_without_labels(monkeypatch):
+    unlabelled = np.asarray(Film(cars(), (320, 200), labels=False).picture(10))
+    assert (np.asarray(Film(cars(), (320, 200)).picture(10)) != unlabelled).any()
+    monkeypatch.setattr(Replay, "labelled", ())
+    np.testing.assert_array_equal(np.asarray(Film(cars(), (320, 200)).picture(10)), unlabelled)
 
 
 def test_the_ring_shrinks_and_cars_throw_shadows(shown):

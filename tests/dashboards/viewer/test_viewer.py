@@ -12,7 +12,7 @@ from PIL import Image
 from dashboards import viewer
 from dashboards.errors import ViewerError
 from dashboards.identity import COLOURS, MatchPlayer
-from dashboards.replay import distances, replay
+from dashboards.replay import Replay, distances, replay
 from dashboards.viewer.headless import headless_viewer
 from tests.dashboards.cars import STEPS, XML, cars
 
@@ -280,3 +280,11 @@ def test_errors_say_what_to_type(match, tmp_path, monkeypatch):
 def test_importing_the_viewer_loads_neither_rerun_nor_mujoco():
     program = "import sys, dashboards.viewer; print([m for m in ('rerun', 'mujoco', 'pandas') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_a_robot_without_a_label_keeps_the_shape_of_its_side(match, tmp_path, monkeypatch):
+    monkeypatch.setattr(Replay, "labelled", property(lambda scene: scene.robots[:1]))
+    viewer.write_rrd(match, tmp_path / "cast.rrd", CAST)
+    found = written(tmp_path / "cast.rrd")
+    assert {path for path, what in found if what == "Points3D:labels"} == {"/world/labels/blue/0"}
+    assert ("/world/sides/red/0", "LineStrips3D:strips") in found
