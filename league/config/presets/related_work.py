@@ -83,11 +83,18 @@ def you_shall_not_pass() -> Config:
 
 def kick_and_defend() -> Config:
     """Humanoids of which one kicks a ball at a goal and the other keeps it, in both roles (Bansal et al. 2018); for a
-    GPU. They begin near the middle of the ranges of their starts, where who falls loses.
+    GPU. In the first stage they begin near the middle of the ranges of their starts, who falls loses, and standing and
+    walking are worth more than a goal.
     """
     rules = {"spread": 0.1, "falls_lose": True}
-    easy = Stage("near", {"arena": {"rules": rules}, "budget": {"steps": 200_000_000}})
-    return replace(_contest("kick-and-defend", 800_000_000), stages=(easy, Stage("full", {})))
+    reward = {"alive": 2.0, "forward": 1.0, "approach": -0.3}
+    easy = {
+        "arena": {"rules": rules, "reward": reward},
+        "training": {"shaping_steps": 10**12},  # these rewards stay
+        "budget": {"steps": 150_000_000},
+    }
+    stages = (Stage("near", easy), Stage("full", {}))
+    return replace(_contest("kick-and-defend", 800_000_000), stages=stages)
 
 
 def _contest(
