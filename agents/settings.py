@@ -38,11 +38,18 @@ def check_class(value: str | None) -> None:
         raise ValueError(f"must be {HAPPO}, or a class in a file of yours: my/learner.py:Mine")
 
 
+COMMAND = re.compile(r"([^:=]+)(?::([1-9]\d{0,3}))?(?:=([^:=]+))?")
+"""PART, PART:COUNT, PART=HERE or PART:COUNT=HERE: see `SkillSettings.command`."""
+
+
 def check_commands(values: tuple[str, ...]) -> None:
-    """Raise ValueError unless each text is the name of a part, or one with a number of numbers after a colon."""
+    """Raise ValueError unless each text is a command: see `COMMAND`."""
     for value in values:
-        if not re.fullmatch(r"[^:]+(:[1-9]\d{0,3})?", value):
-            raise ValueError(f'{value!r} is no part: give its name, or its name and a number of numbers, "slot A:2"')
+        if not COMMAND.fullmatch(value):
+            raise ValueError(
+                f"{value!r} is no part: give its name, if need be with a number of numbers and the part that is seen in"
+                ' its place, "slot A:2" or "goal:2=ball"'
+            )
 
 
 @dataclass(frozen=True)
@@ -100,7 +107,8 @@ class SkillSettings:
     through those of its kind of robot; without any the learner's own actions are the robot's."""
     command: tuple[str, ...] = field(default=(), metadata={"most": 8, "valid": check_commands})
     """Parts of the skills' observations that are commanded, one for each policy or one for all: a part's name, as
-    `league arenas` lists them, and after a colon how many of its first numbers ("slot A:2")."""
+    `league arenas` lists them, after a colon how many of its first numbers ("slot A:2"), and after = the part of the
+    agent's own observation that the skill sees in its place, where that has another name ("goal:2=ball")."""
     mode: Literal["shift", "replace"] = "shift"
     """shift: a command is added to what the agent itself observes there, so that a command of zero is the skill as it
     is; replace: the skill observes the command instead."""

@@ -1,12 +1,12 @@
 """Skills of a team: frozen policies through which its agents act, each wired to what the agent observes here.
 
 A skill sees what it saw where it learnt. Each part of that observation comes from the part of the same name and size in
-the agent's own observation, unless it is commanded. A part that is neither keeps its mean, if it never moved while the
-skill learnt; otherwise the skill cannot act here.
+the agent's own observation, unless it is commanded; a command may name another part for it. A part that is neither keeps
+its mean, if it never moved while the skill learnt; otherwise the skill cannot act here.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 
 from agents.policy.constant_inputs import CONSTANT, silence_constant_inputs
 from agents.policy.skill_arrays import PREFIX, Skill, choice_size, is_over_skills, skill_arrays, strategy_of
-from agents.settings import SkillSettings
+from agents.settings import COMMAND, SkillSettings
 from arenas.description import Part
 from arenas.rosters import bare
 from arenas.state import TeamSpec
@@ -44,6 +44,22 @@ class Teacher(NamedTuple):
     parts: tuple[Part, ...]  # of its observation
     interval: float  # s between its decisions
     config_hash: str  # of the arena in which it learnt
+
+
+class Command(NamedTuple):
+    """A part of a skill's observation that is commanded."""
+
+    part: str
+    count: int | None  # of its first numbers; None: all
+    here: str  # the part of the agent's own observation that the skill sees in its place
+
+    @classmethod
+    def parse(cls, text: str) -> "Command":
+        """Return the command that a text of the settings means, which `agents.settings.check_commands` has checked."""
+        found = COMMAND.fullmatch(text)
+        assert found
+        part, count, here = found.groups()
+        return cls(part, int(count) if count else None, here or part)
 
 
 class TeamSkills:
@@ -130,15 +146,15 @@ def check_skills(settings: SkillSettings, arena: "Arena") -> None:
         team_skills(settings, arena, team)
 
 
-def _teachers(settings: SkillSettings) -> Iterator[tuple[Sequence[Teacher], str]]:
-    """Yield the agents of each policy, all of one kind of robot, with the part that is commanded."""
+def _teachers(settings: SkillSettings) -> Iterator[tuple[Sequence[Teacher], Command]]:
+    """Yield the agents of each policy, all of one kind of robot, with what is commanded."""
     if settings.policies and not settings.command:
         raise SkillError("command: name the part of the skills' observations that is commanded")
     parts = settings.command * (1 if len(settings.command) == len(settings.policies) else len(settings.policies))
-    for named, part in zip(settings.policies, parts, strict=True):
+    for named, text in zip(settings.policies, parts, strict=True):
         agents = _agents_of(named)
         for kind in dict.fromkeys(agent.kind for agent in agents):
-            yield [agent for agent in agents if agent.kind == kind], part
+            yield [agent for agent in agents if agent.kind == kind], Command.parse(text)
 
 
 @cache
@@ -181,23 +197,23 @@ def _check_fit(teacher: Teacher, arena: "Arena", actions: int) -> None:
         )
 
 
-def _commanded(teacher: Teacher, command: str) -> tuple[int, int]:
+def _commanded(teacher: Teacher, command: Command) -> tuple[int, int]:
     """Return the first place of a commanded part in a skill's observation, and how many numbers are commanded."""
-    name, _, count = command.partition(":")
     first = 0
     for part in teacher.parts:
-        if part.name == name:
-            size = int(count or part.size)
+        if part.name == command.part:
+            size = command.count or part.size
             if size > part.size:
-                raise SkillError(f"command: {command!r}: {name} of {teacher.named} has {part.size} numbers only")
+                raise SkillError(
+                    f"command: '{part.name}:{size}': {part.name} of {teacher.named} has {part.size} numbers only"
+                )
             return first, size
         first += part.size
-    known = ", ".join(dict.fromkeys(part.name for part in teacher.parts))
-    raise SkillError(f"command: {teacher.named} observes no {name!r}; it observes {known}")
+    raise SkillError(f"command: {teacher.named} observes no {command.part!r}; it observes {_names(teacher.parts)}")
 
 
 def _wired(
-    teacher: Teacher, command: str, own: Sequence[Part], mode: str, commands: tuple[int, int], arena: str
+    teacher: Teacher, command: Command, own: Sequence[Part], mode: str, commands: tuple[int, int], arena: str
 ) -> tuple[Skill, int]:
     """Return a skill that sees what an agent observes, `own`, and the number of its commands.
 
@@ -215,14 +231,20 @@ def _wired(
         inside = np.arange(first, first + part.size)
         chosen = inside[(inside >= at) & (inside < at + size)]
         rest = np.setdiff1d(inside, chosen)
-        here = places.get((part.name, part.size, met[part.name, part.size]))
-        met[part.name, part.size] += 1
+        named = command.here if len(chosen) else part.name
+        here = places.get((named, part.size, met[named, part.size]))
+        met[named, part.size] += 1
         target[chosen] = offset + chosen - at
         if here is not None:
             source[inside] = here + np.arange(part.size)
         if mode == "replace":
             source[chosen] = nowhere
         missing = rest if mode == "replace" else inside
+        if here is None and named != part.name:
+            raise SkillError(
+                f"command: {arena} shows robots of kind {teacher.kind} no {named!r} of {part.size} numbers; it shows"
+                f" {_names(each for each in own if each.size == part.size) or 'no part of this size'}"
+            )
         if here is None and len(missing):
             _check_missing(teacher, part, arena, mode, len(chosen), bool((var[missing] >= CONSTANT).any()))
             fill[missing] = mean[missing]
@@ -235,13 +257,17 @@ def _check_missing(teacher: Teacher, part: Part, arena: str, mode: str, commande
     if commanded and mode == "shift":
         raise SkillError(
             f"mode: {arena} shows robots of kind {teacher.kind} no {part.name!r} of {part.size} numbers, to which a"
-            ' command could be added; use "replace"'
+            f' command could be added; name another part, "{part.name}=HERE", or use "replace"'
         )
     if moved and not commanded:
         raise SkillError(
             f"policies: {teacher.named} needs {part.name!r} ({part.size} numbers), which {arena} does not show robots"
             f" of kind {teacher.kind}, and which is not commanded"
         )
+
+
+def _names(parts: Iterable[Part]) -> str:
+    return ", ".join(dict.fromkeys(part.name for part in parts))
 
 
 def _places(parts: Sequence[Part]) -> dict[tuple[str, int, int], int]:

@@ -191,6 +191,8 @@ REFUSED = {
     ): "mode: sumo-1v1-anymal shows robots of kind anymal no",
     ("sumo-1v1-anymal", "anymal-score", "ball:2", "replace"): 'policies: anymal-score needs "ball\'s velocity"',
     ("sumo-1v1", "leatherback-push", "slot A:2", "shift"): "policies: leatherback-push decides every 0.02 s, and",
+    ("soccer-2v2", "anymal-walk", "slot A:2=puck", "shift"): "command: soccer-2v2 shows robots of kind anymal no"
+    " 'puck' of 3 numbers; it shows ",
 }
 
 
@@ -213,6 +215,17 @@ def test_a_skill_sees_the_parts_that_it_knows_wherever_they_are():
     np.testing.assert_array_equal(own["skill.0.target"][45:], [0, 1, *[2] * 9])
     assert own["skill.0.fill"][47] == pytest.approx(-0.25, abs=0.01)  # the goal's usual height, which is not commanded
     assert team_skills(SkillSettings(("anymal-walk",), ("slot A",)), pitch, pitch.teams[1]) is None  # of rovers
+
+
+def test_a_command_can_name_the_part_that_the_skill_sees_in_its_place():
+    pitch = arena("soccer-2v2")
+    skills = team_skills(SkillSettings(("anymal-walk",), ("slot A:2=ball",)), pitch, pitch.teams[0])
+    assert skills is not None
+    own, parts = skills.arrays[0], pitch.observation_parts("blue/0")
+    ball = sum(part.size for part in parts[: [part.name for part in parts].index("ball")])
+    np.testing.assert_array_equal(own["skill.0.source"][45:48], [ball, ball + 1, ball + 2])
+    np.testing.assert_array_equal(own["skill.0.target"][45:48], [0, 1, 2])  # the height is not commanded
+    assert own["skill.0.fill"][47] == 0.0
 
 
 def test_several_skills_of_an_agent_have_commands_of_their_own_and_scores():
