@@ -88,7 +88,7 @@ def test_half_of_the_pucks_win_and_the_guards_when_that_is_out_of_reach_or_time_
 def test_metres_nearer_to_the_zone_are_a_hint_mean_over_the_pucks_in_the_game(swarm):
     before, after = {"swarm/0": (3.0, 0.0), "swarm/2": (-3.0, 0.0)}, {"swarm/0": (2.8, 0.0), "swarm/2": (-1.0, 0.0)}
     _, verdict = judged(swarm, state(free=(True, True, False)), after, before=before)
-    np.testing.assert_allclose(verdict.shapings["approach"], [0.02, -0.02], atol=1e-6)
+    np.testing.assert_allclose(verdict.shapings["approach"], [0.1, -0.1], atol=1e-6)
 
 
 def seen(arena, places, game):

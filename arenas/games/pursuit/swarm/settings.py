@@ -55,7 +55,7 @@ class SwarmReward(RewardTerms):
     """To the swarm for all pucks together, in equal shares for each that reaches the zone."""
     caught: float = 1.0
     """From the swarm for all pucks together, in equal shares for each that is caught."""
-    approach: float = 0.2
+    approach: float = 1.0
     """Shaping: to the swarm per metre that pucks in the game come nearer to the zone, mean over them."""
 
 
