@@ -1,8 +1,8 @@
 """Skills of a team: frozen policies through which its agents act, each wired to what the agent observes here.
 
 A skill sees what it saw where it learnt. Each part of that observation comes from the part of the same name and size in
-the agent's own observation, unless it is commanded; a command may name another part for it. A part that is neither keeps
-its mean, if it never moved while the skill learnt; otherwise the skill cannot act here.
+the agent's own observation, unless it is commanded; a command may name another part for it. A part that is neither
+keeps its mean, if it never moved while the skill learnt; otherwise the skill cannot act here.
 """
 
 from collections import Counter
@@ -50,7 +50,7 @@ class Command(NamedTuple):
     """A part of a skill's observation that is commanded."""
 
     part: str
-    count: int | None  # of its first numbers; None: all
+    size: int | None  # how many of its first numbers; None: all
     here: str  # the part of the agent's own observation that the skill sees in its place
 
     @classmethod
@@ -58,8 +58,8 @@ class Command(NamedTuple):
         """Return the command that a text of the settings means, which `agents.settings.check_commands` has checked."""
         found = COMMAND.fullmatch(text)
         assert found
-        part, count, here = found.groups()
-        return cls(part, int(count) if count else None, here or part)
+        part, size, here = found.groups()
+        return cls(part, int(size) if size else None, here or part)
 
 
 class TeamSkills:
@@ -202,7 +202,7 @@ def _commanded(teacher: Teacher, command: Command) -> tuple[int, int]:
     first = 0
     for part in teacher.parts:
         if part.name == command.part:
-            size = command.count or part.size
+            size = command.size or part.size
             if size > part.size:
                 raise SkillError(
                     f"command: '{part.name}:{size}': {part.name} of {teacher.named} has {part.size} numbers only"
@@ -232,8 +232,9 @@ def _wired(
         chosen = inside[(inside >= at) & (inside < at + size)]
         rest = np.setdiff1d(inside, chosen)
         named = command.here if len(chosen) else part.name
-        here = places.get((named, part.size, met[named, part.size]))
-        met[named, part.size] += 1
+        before = met[named, part.size] if named == part.name else 0
+        here = places.get((named, part.size, before))
+        met[part.name, part.size] += 1
         target[chosen] = offset + chosen - at
         if here is not None:
             source[inside] = here + np.arange(part.size)

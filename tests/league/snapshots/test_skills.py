@@ -217,15 +217,23 @@ def test_a_skill_sees_the_parts_that_it_knows_wherever_they_are():
     assert team_skills(SkillSettings(("anymal-walk",), ("slot A",)), pitch, pitch.teams[1]) is None  # of rovers
 
 
-def test_a_command_can_name_the_part_that_the_skill_sees_in_its_place():
+@pytest.mark.parametrize(
+    ("policy", "command", "at"),
+    [("anymal-walk", "slot A:2=ball", 45), ("anymal-score", "target goal:2=ball", None)],  # the second sees a ball too
+)
+def test_a_command_can_name_the_part_that_the_skill_sees_in_its_place(policy, command, at):
     pitch = arena("soccer-2v2")
-    skills = team_skills(SkillSettings(("anymal-walk",), ("slot A:2=ball",)), pitch, pitch.teams[0])
+    skills = team_skills(SkillSettings((policy,), (command,)), pitch, pitch.teams[0])
     assert skills is not None
     own, parts = skills.arrays[0], pitch.observation_parts("blue/0")
-    ball = sum(part.size for part in parts[: [part.name for part in parts].index("ball")])
-    np.testing.assert_array_equal(own["skill.0.source"][45:48], [ball, ball + 1, ball + 2])
-    np.testing.assert_array_equal(own["skill.0.target"][45:48], [0, 1, 2])  # the height is not commanded
-    assert own["skill.0.fill"][47] == 0.0
+    first = {part.name: sum(each.size for each in parts[:i]) for i, part in enumerate(parts)}
+    at = first["target goal"] if at is None else at  # the scorer learnt with this layout
+    np.testing.assert_array_equal(own["skill.0.source"][at : at + 3], np.arange(3) + first["ball"])
+    np.testing.assert_array_equal(own["skill.0.target"][at : at + 3], [0, 1, 2])  # the height is not commanded
+    np.testing.assert_array_equal(own["skill.0.fill"][at : at + 3], 0.0)
+    if policy == "anymal-score":
+        seen = own["skill.0.source"][first["ball"] : first["ball"] + 3]
+        np.testing.assert_array_equal(seen, np.arange(3) + first["ball"])
 
 
 def test_several_skills_of_an_agent_have_commands_of_their_own_and_scores():
