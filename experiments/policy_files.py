@@ -26,7 +26,7 @@ from league.queries.query import Open
 from league.runs.bench.metrics import cross_play
 from league.runtime.bootstrap import create
 from league.snapshots import policy_file
-from league.snapshots.arena_transfer import elsewhere
+from league.snapshots.transfer.arena_transfer import elsewhere
 from league.state.jobs import RatingMatch
 from matchmaking.ratings.payoff import sum_matches
 from scripts.record import make_parser

@@ -33,7 +33,7 @@ from league.queries.query import Open, score_text
 from league.runtime.bootstrap import create
 from league.scheduling.progress_metrics import can_meet
 from league.snapshots import policy_file
-from league.snapshots.arena_transfer import changed_actions_of
+from league.snapshots.transfer.arena_transfer import changed_actions_of
 from league.state.jobs import RatingMatch
 from league.system.packages.versions import versions
 from matchmaking.ratings.ladder import Ladder

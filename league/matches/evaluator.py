@@ -20,8 +20,8 @@ from league.matches.episode_recording import episode
 from league.matches.masking import mask_opponents
 from league.matches.match_rows import match_row, ranked_row, seed_clusters
 from league.matches.time_slices import TimeSlices
-from league.snapshots.arena_transfer import elsewhere
 from league.snapshots.codec import Policy, seat, thaw
+from league.snapshots.transfer.arena_transfer import elsewhere
 from league.state.jobs import RatingMatch
 from league.system import batch_sizes, devices
 from league.system.compiled import Compiled

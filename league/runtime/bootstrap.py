@@ -8,7 +8,7 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError, refuse
 from league.runtime.validation import roster, rules, scripts
-from league.snapshots.warm_start import IncompatiblePolicy, forerunners, warm_starts
+from league.snapshots.transfer.warm_start import IncompatiblePolicy, forerunners, warm_starts
 from storage.errors import NotAStore
 from storage.records import League, Player
 from storage.store import Store
@@ -34,8 +34,8 @@ def create(store: Store, config: Config, arena: "Arena", config_toml: str | None
     """
     from league.queries.query import Open
     from league.runtime.checkpoint_compat import validate_checkpoints
-    from league.snapshots.arena_transfer import bring_in_trained
     from league.snapshots.codec import add_scripts
+    from league.snapshots.transfer.arena_transfer import bring_in_trained
 
     players = players_of(config, arena)
     if config.league in {league.name for league in store.leagues()}:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError
-from league.snapshots import warm_start
+from league.snapshots.transfer import warm_start
 from storage.blobs import arrays
 from storage.errors import StorageError
 from storage.records import Player
@@ -31,7 +31,7 @@ def validate_checkpoints(store: Store, config: Config, arena: "Arena", players: 
         before = None  # written by another version of this program
     if before and (before.learner, before.players, before.arena) == (config.learner, config.players, config.arena):
         return
-    from league.snapshots.skills import check_checkpoint
+    from league.snapshots.transfer.skills import check_checkpoint
     from league.training.learner_factory import new_learner, skills_of
     from league.training.setback import PlayerDiverged
 

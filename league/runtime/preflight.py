@@ -24,7 +24,7 @@ from league.config.schema import ConfigError
 from league.runtime.bootstrap import create, players_of, validate_first_start, validate_stage_starts, validate_victims
 from league.runtime.validation import validate
 from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
-from league.snapshots import warm_start
+from league.snapshots.transfer import warm_start
 from league.state.team_exchange import as_made, players_in
 from league.system import devices, environment, exit_codes
 from league.system.arena_build import Built, rating_batch, worlds

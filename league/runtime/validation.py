@@ -216,7 +216,7 @@ def _validate_skills(config: Config, arena: "Arena") -> None:
     """Raise ConfigError for skills that cannot act in the arena."""
     if not config.learner.skill.policies:
         return
-    from league.snapshots.skills import SkillError, check_skills
+    from league.snapshots.transfer.skills import SkillError, check_skills
 
     try:
         check_skills(config.learner.skill, arena)

@@ -1,1 +1,1 @@
-"""Snapshots as bytes and files: codec, policy files, archives, warm starts, retention."""
+"""Snapshots as bytes and files: codec, policy files, archives, retention; their transfer to other leagues."""

@@ -14,8 +14,8 @@ from arenas.errors import ArenaError
 from arenas.game import check_scripts
 from arenas.rosters import roster_agents
 from arenas.state import TeamSpec
-from league.snapshots.arena_transfer import elsewhere
 from league.snapshots.programs.stored import host_policies
+from league.snapshots.transfer.arena_transfer import elsewhere
 from storage.blobs import arrays, programs
 from storage.errors import StorageError
 from storage.records import Snapshot

@@ -18,8 +18,8 @@ from arenas.arena_settings import Table
 from arenas.state import TeamSpec
 from league.config.experiment import Config
 from league.config.sections import named_players
-from league.snapshots import warm_start
-from league.snapshots.skills import TeamSkills, team_skills
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.skills import TeamSkills, team_skills
 from league.training.own_learner import LearnerSource, OwnLearner
 from storage.records import Player, Snapshot
 from storage.store import Store

@@ -11,7 +11,7 @@ from functools import cached_property
 from agents.learner.happo import HappoLearner
 from league.config import experiment as configuration
 from league.scheduling import player_resets
-from league.snapshots import warm_start
+from league.snapshots.transfer import warm_start
 from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState
 from league.state.recent_curves import episode_scores

@@ -23,7 +23,7 @@ from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.scheduling import curriculum
 from league.scheduling.training_progress import handed_on
-from league.snapshots import warm_start
+from league.snapshots.transfer import warm_start
 from league.state.jobs import TrainingTurn
 from league.state.league_state import LeagueState
 from league.system.memory import SHORT

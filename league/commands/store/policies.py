@@ -10,12 +10,12 @@ from league.config.schema import ConfigError
 from league.config.sections import POLICY_FILE, check_name
 from league.queries.query import Open
 from league.snapshots import policy_file
-from league.snapshots.arena_transfer import describe_transfer, refitted
 from league.snapshots.exports import interface
 from league.snapshots.exports.program_export import SUFFIX, Format, programs, stem
 from league.snapshots.model_card import card
 from league.snapshots.programs import exporting
 from league.snapshots.programs.kinds import kind_of
+from league.snapshots.transfer.arena_transfer import describe_transfer, refitted
 from matchmaking.ratings.ladder import Ladder
 from storage.blobs.files import new_file, require_file_name
 

@@ -19,8 +19,8 @@ from league.runs.bench.metrics import MIDDLE, metrics, seconds_to_75
 from league.runs.bench.partial_rows import PartialRows, Row
 from league.runs.bench.references import Reference, ReferenceSet
 from league.runs.bench.tasks import BATCH, GAMES, Task
-from league.snapshots.arena_transfer import changed_actions_of
 from league.snapshots.policy_file import Policy
+from league.snapshots.transfer.arena_transfer import changed_actions_of
 from league.system.packages.versions import versions
 from league.system.provenance import code
 from storage.errors import UnknownName

@@ -32,7 +32,7 @@ from agents.rollout.rollout import (
 from agents.settings import Architecture, HappoConfig, SkillSettings
 from arenas.arena import Arena
 from league.snapshots import policy_file
-from league.snapshots.skills import team_skills
+from league.snapshots.transfer.skills import team_skills
 
 WORLDS, SEES, ACTS = 12, 7, 3
 decided, mean = jax.jit(decide), jax.jit(mean_action)  # one program instead of one for each operation

@@ -4,8 +4,8 @@ import pytest
 
 from league.config import experiment as configuration
 from league.config import presets
-from league.snapshots import warm_start
-from league.snapshots.warm_start import Source, WarmStart
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.warm_start import Source, WarmStart
 from storage.records import Player
 
 

@@ -7,8 +7,8 @@ import pytest
 import arenas
 from league.config import experiment as configuration
 from league.config import presets
-from league.snapshots import warm_start
-from league.snapshots.warm_start import Source
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.warm_start import Source
 from storage.records import Player
 from storage.store import Store
 from tests.league.conftest import call

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from league.snapshots import warm_start
+from league.snapshots.transfer import warm_start
 from storage.store import Store
 from tests.league.conftest import call
 

@@ -14,9 +14,9 @@ from league.config.schema import ConfigError
 from league.config.sections import Budget
 from league.scheduling import curriculum, turn_scheduler
 from league.scheduling.training_progress import best, handed_on, learnt_enough, rated, why
-from league.snapshots import warm_start
 from league.snapshots.codec import freeze
-from league.snapshots.warm_start import Source, WarmStart
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.warm_start import Source, WarmStart
 from league.state.league_state import LeagueState
 from storage.blobs import arrays
 from storage.records import Checkpoint, Match, PairCounts

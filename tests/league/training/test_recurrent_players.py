@@ -18,9 +18,10 @@ from league.config.schema import ConfigError
 from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
 from league.scheduling import turn_scheduler
-from league.snapshots import policy_file, warm_start
+from league.snapshots import policy_file
 from league.snapshots.codec import add_scripts, freeze
-from league.snapshots.warm_start import Source, WarmStart
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.warm_start import Source, WarmStart
 from league.state.jobs import RatingMatch, decode
 from league.state.league_state import LeagueState
 from league.training.trainer import Trainer

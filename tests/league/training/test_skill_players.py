@@ -20,10 +20,11 @@ from league.matches.evaluator import MatchEvaluator
 from league.queries.query import Open
 from league.runtime.checkpoint_compat import validate_checkpoints
 from league.runtime.validation import validate
-from league.snapshots import policy_file, warm_start
+from league.snapshots import policy_file
 from league.snapshots.codec import add_scripts
 from league.snapshots.exports.networks import agents_of
 from league.snapshots.exports.torchscript_export import torchscript_bytes
+from league.snapshots.transfer import warm_start
 from league.state.jobs import RatingMatch
 from league.training.learner_factory import new_learner
 from matchmaking.opponents import Opponents

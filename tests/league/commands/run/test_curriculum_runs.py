@@ -13,8 +13,9 @@ from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
 from league.scheduling import curriculum
-from league.snapshots import policy_file, warm_start
-from league.snapshots.warm_start import IncompatiblePolicy, Source, WarmStart
+from league.snapshots import policy_file
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.warm_start import IncompatiblePolicy, Source, WarmStart
 from storage.blobs import arrays
 from storage.errors import UnknownName
 from storage.records import Player

@@ -24,7 +24,7 @@ from league.snapshots.exports.torchscript_export import torchscript_bytes
 from league.snapshots.model_card import _network
 from league.snapshots.policy_callable import PolicyCallable, _learnt
 from league.snapshots.programs.stored import read, sizes
-from league.snapshots.skills import SkillError, check_skills, team_skills
+from league.snapshots.transfer.skills import SkillError, check_skills, team_skills
 from storage.errors import StorageError
 from storage.records import Snapshot
 from tests.arenas.echo import EchoSettings

@@ -23,7 +23,8 @@ from league.config.experiment import Config
 from league.config.sections import POLICY_FILE, Rating
 from league.queries.league_settings import LeagueSettings
 from league.scheduling.training_progress import handed_on
-from league.snapshots import arena_transfer, policy_file
+from league.snapshots import policy_file
+from league.snapshots.transfer import arena_transfer
 from league.state.league_state import LeagueState
 from storage.blobs import arrays, programs
 from storage.errors import StorageError, UnknownName

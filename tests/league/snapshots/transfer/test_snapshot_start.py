@@ -8,8 +8,9 @@ import torch
 
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
-from league.snapshots import policy_file, warm_start
+from league.snapshots import policy_file
 from league.snapshots.codec import freeze
+from league.snapshots.transfer import warm_start
 from storage.blobs import arrays
 from storage.errors import StorageError, UnknownName
 from storage.records import Player

@@ -1,6 +1,6 @@
 """Which agent of earlier leagues each player goes on from, where sides are unlike and where they are not."""
 
-from league.snapshots.warm_start import Source, warm_starts
+from league.snapshots.transfer.warm_start import Source, warm_starts
 from storage.records import Player
 
 RUNNER, BLOCKER, PLAIN = "human:9:2@runner", "human:9:2@blocker", "human:9:2"

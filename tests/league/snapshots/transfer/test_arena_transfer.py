@@ -15,9 +15,10 @@ from league.queries.query import Open
 from league.runs.bench.evaluation import Request, evaluate
 from league.runs.bench.tasks import find
 from league.runtime.bootstrap import create
-from league.snapshots import policy_file, warm_start
-from league.snapshots.arena_transfer import changed_actions_of
+from league.snapshots import policy_file
 from league.snapshots.codec import thaw
+from league.snapshots.transfer import warm_start
+from league.snapshots.transfer.arena_transfer import changed_actions_of
 from league.state.jobs import RatingMatch
 from scripts.trained_cards import candidates
 from storage.records import ArenaKey

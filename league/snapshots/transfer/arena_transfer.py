@@ -1,8 +1,8 @@
 """Policies that play in another arena than the one in which they learnt.
 
-They play as a warm start from them would begin (`league.snapshots.warm_start`): inputs that were constant where they
-learnt are ignored (`agents.policy.constant_inputs`). Else each such input, divided by a deviation of zero, would be at
-its limit. Networks that encode sets of entities play where robots see other numbers of them
+They play as a warm start from them would begin (`league.snapshots.transfer.warm_start`): inputs that were constant
+where they learnt are ignored (`agents.policy.constant_inputs`). Else each such input, divided by a deviation of zero,
+would be at its limit. Networks that encode sets of entities play where robots see other numbers of them
 (`agents.policy.entity_places`), in teams of other sizes. Actions stay as they are, also where the same number now means
 another speed or angle: `changed_actions` tells of it.
 """
