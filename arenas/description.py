@@ -37,6 +37,21 @@ def entity_places(first: int, count: int, size: int) -> tuple[tuple[int, ...], .
     return tuple(tuple(range(first + i * size, first + (i + 1) * size)) for i in range(count))
 
 
+Place = tuple[str, int, int]
+"""A part among others: its name, its size, and how many of that name and size come before it."""
+
+
+def first_numbers(parts: Iterable[Part]) -> dict[Place, int]:
+    """Return the index of the first number of each part, in the order of the parts."""
+    found: dict[Place, int] = {}
+    first, met = 0, Counter[tuple[str, int]]()
+    for part in parts:
+        found[part.name, part.size, met[part.name, part.size]] = first
+        met[part.name, part.size] += 1
+        first += part.size
+    return found
+
+
 @dataclass(frozen=True)
 class Legend:
     """Description of a game's verdicts, by the names that the verdict uses. An empty legend describes nothing.

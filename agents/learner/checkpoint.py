@@ -101,6 +101,27 @@ def with_actor(state: State, i: int, given: State, j: int) -> dict[str, np.ndarr
     return {**state, **(entity_places.refitted(new, network, to) if to and size != before else new)}
 
 
+def with_inputs(state: State, i: int, places: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the state with agent i's actor made for another observation, with its statistics.
+
+    `places` (n,) int has the place of each new input in the former observation; -1 for an input that the actor has
+    never seen. Such an input has no effect at first, and the first batch sets its statistics. Raises ValueError for an
+    actor whose first layer does not see the observation alone and unchanged, input by input.
+    """
+    network = f"actor.{actor_owners(state, _agents(state))[i]}."
+    if has_input_norm(state, network):
+        raise ValueError("its network normalises all its inputs together (learner.architecture.layer_norm)")
+    if entity_places.places_of(state, network):
+        raise ValueError("its network encodes sets of entities (learner.architecture.entities)")
+    known, weights = places >= 0, f"{network}trunk.hidden.0.weight"
+    new = {**state, weights: np.where(known, state[weights][:, places], 0).astype(state[weights].dtype)}
+    unseen = {"trunk.observation_mean": 0.0, "trunk.observation_var": 1.0, "observed": 0}
+    for name, value in unseen.items():
+        before = state[f"{network}{name}"]
+        new[f"{network}{name}"] = np.where(known, before[places], value).astype(before.dtype)
+    return new
+
+
 def with_critics(state: State, given: State) -> dict[str, np.ndarray]:
     """Return the state with another learner's critics, their value normalisers and observation statistics."""
     return {**state, **{k: v for k, v in given.items() if k.startswith(("critic.", "value_norm."))}}

@@ -27,6 +27,7 @@ from league.config.sections import (
     Storage,
     Training,
     Workers,
+    check_after_parts,
     check_forerunners,
     check_name,
     check_players,
@@ -81,6 +82,9 @@ class Config:
     after: tuple[str, ...] = field(default=(), metadata={"valid": check_forerunners})
     """Leagues of this store, snapshots of them (main/blue@49), policies that come with the league, or files that
     `league export` wrote (my/policy.safetensors), from which the players here start; the nearest first."""
+    after_parts: tuple[str, ...] = field(default=(), metadata={"valid": check_after_parts})
+    """Parts of observations by which networks go on from `after` and earlier stages where observations differ: names,
+    THERE=HERE for another name here, "*" for all of equal name and size (none: such networks are refused)."""
     stages: tuple[parts.Stage, ...] = field(default=(), metadata={"apart": True})
     """A curriculum: tables [[stages]] with what differs from the settings above, walked in their order."""
 

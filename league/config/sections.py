@@ -70,6 +70,15 @@ def check_forerunners(names: Sequence[str]) -> None:
         check_forerunner(name)
 
 
+def check_after_parts(values: Sequence[str]) -> None:
+    """Raise ValueError unless each text names a part of observations, or two as THERE=HERE."""
+    for value in values:
+        if not re.fullmatch("[^=]+(=[^=]+)?", value):
+            raise ValueError(
+                f'{value!r} is no part: give its name, "THERE=HERE" where it has another name here, or "*"'
+            )
+
+
 @dataclass(frozen=True)
 class PlayerSettings:
     """A player: a learning lineage of policies for one team."""

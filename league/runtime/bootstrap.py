@@ -1,6 +1,6 @@
 """The rows with which a league begins, and the checks of a configuration against the contents of the store."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
@@ -8,7 +8,9 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.schema import ConfigError, refuse
 from league.runtime.validation import roster, rules, scripts
-from league.snapshots.transfer.warm_start import IncompatiblePolicy, forerunners, warm_starts
+from league.snapshots.transfer.home_arena import HomeTeam, team_in
+from league.snapshots.transfer.predecessors import forerunners
+from league.snapshots.transfer.warm_start import IncompatiblePolicy, WarmStart, fits, takes_any_size, warm_starts
 from storage.errors import NotAStore
 from storage.records import League, Player
 from storage.store import Store
@@ -70,24 +72,44 @@ def _validate_rosters(store: Store, config: Config, arena: "Arena", players: lis
             )
 
 
-def validate_stage_starts(where: str, config: Config, stages: list[list[Player]]) -> None:
+def validate_stage_starts(where: str, config: Config, stages: "Sequence[tuple[Config, Arena]]") -> None:
     """Raise ConfigError if a stage's players do not fit those from which they start.
 
-    The players of earlier stages are taken from `stages`, since the store does not have them yet. Nothing is checked
-    once all players of the last stage have checkpoints: a file that `after` names may be gone then.
+    `stages` are the settings and the arena of each stage, of the league itself if it has none. The players of earlier
+    stages are taken from there, since the store does not have them yet. Nothing is checked once all players of the last
+    stage have checkpoints: a file that `after` names may be gone then.
     """
     if _has_begun(where, config):
         return
     before, own = _predecessors(where, config)
-    for number, players in enumerate(stages):
+    earlier: dict[tuple[str, str], tuple[Player, Arena]] = {}
+    for number, (stage, arena) in enumerate(stages):
+        players = players_of(stage, arena)
         theirs = own if number == len(stages) - 1 else {}  # earlier stages have one main player a team
         try:
-            warm_starts(players, before, entities=bool(config.learner.architecture.entities), own=theirs)
+            found = warm_starts(players, before, any_size=takes_any_size(stage), own=theirs)
+            for player in players:
+                _validate_fits(stage, arena, player, found[player.name], earlier)
         except IncompatiblePolicy as error:
             key = ("stages", str(number), "arena") if config.stages else ("after",)
             what = f"stage {config.stages[number].name}" if config.stages else f"after {', '.join(config.every_after)}"
             raise ConfigError(key, f"{what}: {error}") from None
         before.insert(0, players)
+        earlier |= {(player.league, player.name): (player, arena) for player in players}
+
+
+def _validate_fits(
+    stage: Config, arena: "Arena", player: Player, start: WarmStart,
+    earlier: "Mapping[tuple[str, str], tuple[Player, Arena]]",
+) -> None:  # fmt: skip
+    """Raise IncompatiblePolicy if networks of players of earlier stages cannot be fitted to a stage's observations."""
+
+    def home(league: str, name: str) -> HomeTeam:
+        other, there = earlier[league, name]
+        return team_in(there, other.roster)
+
+    of_stages = tuple(each if each and each[:2] in earlier else None for each in start.actors)
+    fits(stage.after_parts, start._replace(actors=of_stages), arena, player.team, home)
 
 
 def _has_begun(where: str, config: Config) -> bool:

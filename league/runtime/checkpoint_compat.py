@@ -63,7 +63,10 @@ def validate_start(store: Store | None, config: Config, arena: "Arena", players:
         if not isinstance(learner, HappoLearner):  # it starts from nothing: `validate` refuses it an `after`
             continue
         try:
-            warm_start.start(store, learner, found[player.name])
+            fitted = warm_start.fits_of(store, config, arena, player, found[player.name])
+            warm_start.start(store, learner, found[player.name], fitted)
+        except warm_start.IncompatiblePolicy as error:
+            raise ConfigError(("after_parts",), str(error)) from None
         except StorageError as error:
             raise ConfigError(("after",), f"after: {player.name} of league {config.league!r} {error}") from None
 

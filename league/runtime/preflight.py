@@ -21,7 +21,7 @@ from league.config import experiment as configuration
 from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
-from league.runtime.bootstrap import create, players_of, validate_first_start, validate_stage_starts, validate_victims
+from league.runtime.bootstrap import create, validate_first_start, validate_stage_starts, validate_victims
 from league.runtime.validation import validate
 from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
 from league.snapshots.transfer import warm_start
@@ -46,12 +46,12 @@ class Prepared:
     worlds: int  # simulated at once in training
     sides: tuple[str, ...]  # each team as text, e.g. blue (2 × leatherback)
     rating: tuple[int, int] = RATING["cpu"]  # worlds and pairings of a batch of rating matches
-    changed_actions: tuple[str, ...] = ()  # lines about robots whose actions meant something else where they learnt
+    starts: tuple[str, ...] = ()  # lines about robots that see or do something else than where their policies learnt
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Prepared":
         """Return the facts that `asdict` gave, read back from JSON, which has lists for tuples."""
-        as_tuples = {name: tuple(found[name]) for name in ("sides", "rating", "changed_actions")}
+        as_tuples = {name: tuple(found[name]) for name in ("sides", "rating", "starts")}
         return cls(**{**found, **as_tuples})
 
 
@@ -189,7 +189,7 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
     arenas = [_arena(each, players_in(spec.store, spec.blobs, each.league), ahead) for each in stages or [config]]
     if os.getppid() != request["parent"]:
         raise PrepareError("the process that asked has gone; nothing was written")
-    validate_stage_starts(spec.store, config, list(map(players_of, stages or [config], arenas)))
+    validate_stage_starts(spec.store, config, list(zip(stages or [config], arenas, strict=True)))
     first = (stages or [config])[0]
     if first.every_after:
         validate_first_start(spec.store, first, arenas[0])
@@ -200,11 +200,12 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
         else:
             create(store, config, arenas[0], spec.config_toml)
         begins = config.every_after and not stages and not store.newest_checkpoints(config.league)
-        changed = tuple(warm_start.changed_actions(store, config)) if begins else ()
+        starts = warm_start.fit_lines(store, config, arenas[0]) if begins else []
+        starts += warm_start.changed_actions(store, config) if begins else []
     arena = arenas[0]
     sides = tuple(f"{t.name} ({describe_team(a.kind for a in t.agents)})" for t in arena.teams)
     count, batch = worlds(config), rating_batch(config)
-    prepared = Prepared(arena.name, arena.engine.name, count, sides, batch, changed)
+    prepared = Prepared(arena.name, arena.engine.name, count, sides, batch, tuple(starts))
     return prepared, Built(arena, first, worlds(first))
 
 

@@ -55,6 +55,7 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     _validate_players(config, teams)
     _validate_ladder(config, arena)
     _validate_entities(config, arena)
+    _validate_after_parts(config)
     _validate_pbt(config, teams)
     _validate_skills(config, arena)
     _validate_learners(config, arena)
@@ -243,6 +244,16 @@ def _validate_pbt(config: Config, teams: list[str]) -> None:
             message = f"the {role} players of {team} have networks of {' and '.join(map(literal, widths))}: who copies"
             message += " another needs its network, so give them the same"
             raise refuse(("training", "pbt", "ready"), config.training.pbt.ready, message)
+
+
+def _validate_after_parts(config: Config) -> None:
+    """Raise ConfigError if networks are to go on by parts of observations and cannot: see `checkpoint.with_inputs`."""
+    for name in ("layer_norm", "entities"):
+        if config.after_parts and (value := getattr(config.learner.architecture, name)):
+            message = (
+                "after_parts is for networks whose first layer sees the observation as it is; leave one of both out"
+            )
+            raise refuse(("learner", "architecture", name), value, message)
 
 
 def _validate_learners(config: Config, arena: "Arena") -> None:

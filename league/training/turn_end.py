@@ -88,7 +88,8 @@ class TurnFinalizer:
             for name in self.turn.learners:
                 learner = self.pool.learners[name]
                 if isinstance(learner, HappoLearner):  # others start from nothing: `validate` refuses them an `after`
-                    self._parents[name] = warm_start.start(store, learner, found[name])
+                    fitted = warm_start.fits_of(store, config, self.pool.arena, self.pool.players[name], found[name])
+                    self._parents[name] = warm_start.start(store, learner, found[name], fitted)
 
     def close(self, store: Store, points: Sequence[CurvePoint], meetings: Sequence[Meeting]) -> bool:
         """Make the copies and resets that follow from the turn's learning curves and games.

@@ -216,7 +216,7 @@ class _Reporter:
             self.has_begun = True
             self.store.set_config(self.config.league, self.config_toml)
             self.store.start_run(self.config.league, self.config_toml, socket.gethostname(), {**versions(), **code()})
-            starts = [f"  {line}" for line in (*_warm_starts(self.store, self.config), *self.prepared.changed_actions)]
+            starts = [f"  {line}" for line in (*_warm_starts(self.store, self.config), *self.prepared.starts)]
             print("\n".join([_greeting(self.config, self.prepared, self.store.where), *starts]), flush=True)
             self.on_lead()
         self.ticker(*how)

@@ -16,11 +16,10 @@ import numpy as np
 from agents.policy.constant_inputs import CONSTANT, silence_constant_inputs
 from agents.policy.skill_arrays import PREFIX, Skill, choice_size, is_over_skills, skill_arrays, strategy_of
 from agents.settings import COMMAND, SkillSettings
-from arenas.description import Part
-from arenas.rosters import bare
+from arenas.description import Part, first_numbers
 from arenas.state import TeamSpec
-from league.config import experiment
 from league.snapshots import policy_file
+from league.snapshots.transfer.home_arena import home_team
 
 if TYPE_CHECKING:
     from arenas.arena import Arena
@@ -163,21 +162,17 @@ def _agents_of(named: str) -> tuple[Teacher, ...]:
     policy = policy_file.read(policy_file.find(named))
     about = policy.about
     try:
-        home = experiment.loads(about["settings"]).arena.build(engine="c", threads=1)
-    except (Exception, SystemExit) as error:  # the arena may be a stranger's file
-        raise SkillError(f"policies: {named}: the arena in which it learnt cannot be built: {error}") from None
-    team = next((each for each in home.teams if bare(each.roster) == bare(about["roster"])), None)
-    if team is None:
-        raise SkillError(f"policies: {named}: no team of {home.name}, where it learnt, is {about['roster']}")
+        home = home_team(about["settings"], about["roster"])
+    except ValueError as error:
+        raise SkillError(f"policies: {named}: {error}") from None
     found = []
-    for i, agent in enumerate(team.agents):
+    for i, agent in enumerate(home.agents):
         own = {k.partition("/")[2]: v for k, v in policy.arrays.items() if k.startswith(f"{i}/")}
         if "gru.weight_hh" in own or is_over_skills(own):
             raise SkillError(f"policies: {named} remembers what it saw, or is over skills; a skill does neither")
-        parts = tuple(home.observation_parts(agent.name))
-        if not parts:
-            raise SkillError(f"policies: {named}: {home.name}, where it learnt, does not name what is observed")
-        about_it = agent.kind, agent.action_size, strategy_of(own), parts, home.timing.decision_interval
+        if not agent.parts:
+            raise SkillError(f"policies: {named}: {home.arena}, where it learnt, does not name what is observed")
+        about_it = agent.kind, agent.action_size, strategy_of(own), agent.parts, home.interval
         found.append(Teacher(named, *about_it, (about["arena"] or {}).get("config_hash", home.config_hash)))
     return tuple(found)
 
@@ -220,7 +215,7 @@ def _wired(
     `commands` are the place of its first command among those of all skills of the agent, and their number.
     """
     at, size = _commanded(teacher, command)
-    places, nowhere = _places(own), sum(part.size for part in own)
+    places, nowhere = first_numbers(own), sum(part.size for part in own)
     offset, nothing = commands
     total = sum(part.size for part in teacher.parts)
     source, target = np.full(total, nowhere, np.int32), np.full(total, nothing, np.int32)
@@ -269,14 +264,3 @@ def _check_missing(teacher: Teacher, part: Part, arena: str, mode: str, commande
 
 def _names(parts: Iterable[Part]) -> str:
     return ", ".join(dict.fromkeys(part.name for part in parts))
-
-
-def _places(parts: Sequence[Part]) -> dict[tuple[str, int, int], int]:
-    """Return the first place of each part by its name, its size, and how many of these came before it."""
-    found: dict[tuple[str, int, int], int] = {}
-    first, met = 0, Counter[tuple[str, int]]()
-    for part in parts:
-        found[part.name, part.size, met[part.name, part.size]] = first
-        met[part.name, part.size] += 1
-        first += part.size
-    return found

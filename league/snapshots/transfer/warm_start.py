@@ -1,38 +1,42 @@
 """Warm start: the players of a league take over actors and critics of earlier leagues.
 
-A frozen policy that comes with the league counts as a league of one player without a critic, and so do a snapshot,
-which `after` names as league/snapshot, and a file that `league export` wrote.
-
 An agent continues from an agent of the same kind of robot, of the nearest league that has one. Where sides are unlike,
 agents that played another side are used only if no league has one that played its own. If the league has several, they
-are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of
-observation or action is refused, because that is a mistake in the settings.
+are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of observation or action
+is refused, because that is a mistake in the settings, unless `after_parts` names the parts of the observation by which
+its network goes on (`observation_fit.py`).
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from agents.policy.skill_arrays import PREFIX, strategy_of
+from agents.learner import checkpoint
 from arenas.rosters import bare, roster_agents, roster_side
 from league.config import experiment, toml
 from league.config.experiment import Config
-from league.config.sections import POLICY_FILE, Rating
-from league.queries.league_settings import LeagueSettings
-from league.scheduling.training_progress import handed_on
-from league.snapshots import policy_file
 from league.snapshots.transfer import arena_transfer
-from league.state.league_state import LeagueState
-from storage.blobs import arrays, programs
-from storage.errors import StorageError, UnknownName
-from storage.records import Player, Snapshot
+from league.snapshots.transfer.home_arena import HomeTeam
+from league.snapshots.transfer.observation_fit import Fit, fit
+from league.snapshots.transfer.predecessors import (
+    FROZEN,
+    actors_of,
+    best_of,
+    forerunners,
+    home_of,
+    settings_of,
+    state_of,
+)
+from storage.blobs import arrays
+from storage.errors import StorageError
+from storage.records import Player
 from storage.store import Store
 
 if TYPE_CHECKING:
     from agents.learner.happo import HappoLearner
+    from arenas.arena import Arena
 
 
 class Source(NamedTuple):
@@ -50,15 +54,12 @@ class WarmStart(NamedTuple):
     critic: tuple[str, str] | None  # (league, player); None starts from scratch, with the value normaliser
 
 
-FROZEN = "frozen"  # the role of a policy that comes with the league, or from a file
-
-
 class IncompatiblePolicy(ValueError):  # noqa: N818  (named after the policy)
     """A source policy with another size of observation or action than the league's agent of the same kind."""
 
 
 def warm_starts(
-    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own", entities: bool = False,
+    players: Sequence[Player], before: Sequence[Sequence[Player]], critic_input: str = "own", any_size: bool = False,
     own: Mapping[str, Sequence[Sequence[Player]]] | None = None,
 ) -> dict[str, WarmStart]:  # fmt: skip
     """Return the sources of each player; `before` are the players of other leagues, the nearest league first.
@@ -68,14 +69,14 @@ def warm_starts(
     A critic and its value normaliser continue if all actors come from one player and that player had the same roster:
     then the critic's input fits. A critic that sees all teams needs equal rosters of all teams, and one that judges for
     all teams needs the same roster for each of them. A critic that sees the whole state starts from scratch, because
-    another arena has another state. Where networks encode `entities`, observations may have other sizes: if they differ
-    in more than numbers of entities, `start` says so. Raises IncompatiblePolicy, one line with both sizes.
+    another arena has another state. With `any_size`, observations may have other sizes: `start` then says whether a
+    network can be made for them. Raises IncompatiblePolicy, one line with both sizes.
     """
     taken: Counter[tuple[Source, ...]] = Counter()  # how many agents have one of these sources already
     found = {}
     for player in players:
         side, leagues = roster_side(player.roster), (own or {}).get(player.name, before)
-        actors = tuple(_source(agent, side, leagues, taken, entities) for agent in roster_agents(player.roster))
+        actors = tuple(_source(agent, side, leagues, taken, any_size) for agent in roster_agents(player.roster))
         critic = _critic(player, actors, leagues)
         if critic and not _fits(critic_input, player, players, *_of(leagues, critic)):
             critic = None
@@ -84,7 +85,7 @@ def warm_starts(
 
 
 def _source(
-    agent: str, side: str, before: Sequence[Sequence[Player]], taken: Counter[tuple[Source, ...]], entities: bool
+    agent: str, side: str, before: Sequence[Sequence[Player]], taken: Counter[tuple[Source, ...]], any_size: bool
 ) -> Source | None:
     kind = _kind(agent)
     for sides in ({side, ""}, None):
@@ -99,18 +100,23 @@ def _source(
                 known = tuple(able)
                 source = known[taken[known] % len(known)]
                 taken[known] += 1
-                _require_sizes(agent, able[source], source, entities)
+                _require_sizes(agent, able[source], source, any_size)
                 return source
     return None
 
 
-def _require_sizes(agent: str, other: str, source: Source, entities: bool) -> None:
-    if other != agent and not (entities and _acts(other) == _acts(agent)):
+def _require_sizes(agent: str, other: str, source: Source, any_size: bool) -> None:
+    if other != agent and not (any_size and _acts(other) == _acts(agent)):
         raise IncompatiblePolicy(
             f"{_kind(agent)} {_sizes(agent)} here, and {_sizes(other)} in {source.league}: give both the same"
-            " observation (arena.buffer, say, in each stage), encode what differs in number as sets"
-            " (learner.architecture.entities), or its players no forerunner"
+            " observation (arena.buffer, say, in each stage), name the parts by which networks go on (after_parts),"
+            " encode what differs in number as sets (learner.architecture.entities), or its players no forerunner"
         )
+
+
+def takes_any_size(config: Config) -> bool:
+    """Return whether networks of other leagues may have seen observations of other sizes."""
+    return bool(config.learner.architecture.entities or config.after_parts)
 
 
 def _critic(
@@ -161,7 +167,7 @@ def describe(starts: Mapping[str, WarmStart], store: Store | None = None) -> lis
     With a `store` they name the snapshots that are used instead of a player's newest state, and the reason.
     """
     owners = dict.fromkeys((s.league, s.player) for actors, _ in starts.values() for s in actors if s)
-    older = {owner: found for owner in owners if store and (found := _best(store, *owner))}
+    older = {owner: found for owner in owners if store and (found := best_of(store, *owner))}
 
     def whose(source: Source) -> str:
         found = older.get(source[:2])
@@ -196,73 +202,17 @@ def changed_actions(store: Store, config: Config) -> list[str]:
     return [
         f"{league}: {line}"
         for league, found in kinds.items()
-        for line in arena_transfer.changed_actions(_settings_of(store, league), here, list(found))
+        for line in arena_transfer.changed_actions(settings_of(store, league), here, list(found))
     ]
-
-
-def _settings_of(store: Store, name: str) -> str:
-    """Return the settings, as TOML, with which a league, a snapshot's league or a frozen policy learnt."""
-    if _is_policy(name) and name not in {league.name for league in store.leagues()}:
-        return str(policy_file.read(policy_file.find(name)).about["settings"])
-    return store.league(name.partition("/")[0]).config
-
-
-def forerunners(store: Store | None, named: Sequence[str]) -> list[Sequence[Player]]:
-    """Return the players for each name: of a league of the store, of a snapshot, of a policy that comes with the
-    league, or of a file.
-
-    Raises UnknownName for a name that is none of them, StorageError for a snapshot without networks, ExchangeError for
-    a file without a policy.
-    """
-    leagues = {league.name: store for league in store.leagues()} if store else {}
-    for name in named:
-        if name.partition("/")[0] not in leagues and not _is_policy(name):
-            raise UnknownName("league or trained policy", name, [*leagues, *policy_file.trained()])
-    found: list[Sequence[Player]] = []
-    for name in named:
-        league, slash, _ = name.partition("/")
-        if _is_policy(name) and name not in leagues:
-            found.append([_player_of(name)])
-        elif slash:
-            snapshot = _snapshot(leagues[league], name)
-            found.append([Player(name, snapshot.name, 0, FROZEN, snapshot.roster)])
-        else:
-            found.append(leagues[name].players(name))
-    return found
-
-
-def _snapshot(store: Store, name: str) -> Snapshot:
-    """Return the snapshot that is named league/snapshot. Raises UnknownName, or StorageError if it has no networks."""
-    league, _, own = name.partition("/")
-    known = {snapshot.name: snapshot for snapshot in store.snapshots(league)}
-    if own not in known:
-        raise UnknownName("snapshot", own, [*known])
-    snapshot = known[own]
-    if snapshot.thinned is not None:
-        raise StorageError(f"{name} has been thinned: its policy is gone")
-    if snapshot.script or programs.is_program(store.blobs.get(snapshot.digest)):
-        raise StorageError(f"{name} is a {'script' if snapshot.script else 'program'}: no player can go on from it")
-    return snapshot
-
-
-def _is_policy(name: str) -> bool:
-    """Return whether the name is that of a policy that comes with the league, or a file's."""
-    return name in policy_file.trained() or name.endswith(POLICY_FILE)
-
-
-def _player_of(name: str) -> Player:
-    """Return the player of a policy that comes with the league or is in a file. Raises ExchangeError."""
-    about = policy_file.read(policy_file.find(name)).about
-    return Player(name, about["name"], 0, FROZEN, about["roster"])
 
 
 def of(
     store: Store | None, players: Sequence[Player], after: Sequence[str], critic_input: str = "own",
-    entities: bool = False, own: Mapping[str, Sequence[str]] | None = None,
+    any_size: bool = False, own: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, WarmStart]:  # fmt: skip
     """Return the sources of the players of a league, among the leagues and policies named in `after`.
 
-    `store` is None for a new store. A critic with another kind of input starts from scratch. `entities` is that of
+    `store` is None for a new store. A critic with another kind of input starts from scratch. `any_size` is that of
     `warm_starts`, and `own` has the names for players that have an `after` of their own. Raises UnknownName as
     `forerunners` does, IncompatiblePolicy as `warm_starts` does.
     """
@@ -270,14 +220,13 @@ def of(
     theirs = {name: forerunners(store, names) for name, names in (own or {}).items()}
     return {
         name: each._replace(critic=None) if each.critic and _saw(store, each.critic[0]) != critic_input else each
-        for name, each in warm_starts(order, forerunners(store, after), critic_input, entities, theirs).items()
+        for name, each in warm_starts(order, forerunners(store, after), critic_input, any_size, theirs).items()
     }
 
 
 def of_config(store: Store | None, players: Sequence[Player], config: Config) -> dict[str, WarmStart]:
     """Return the sources of the players of a league with these settings, as `of` does."""
-    learner = config.learner
-    return of(store, players, config.after, learner.critic_input, bool(learner.architecture.entities), config.own_after)
+    return of(store, players, config.after, config.learner.critic_input, takes_any_size(config), config.own_after)
 
 
 def _saw(store: Store | None, league: str) -> str:
@@ -287,55 +236,77 @@ def _saw(store: Store | None, league: str) -> str:
     return str(learner.get("critic_input", "own"))
 
 
-def start(store: Store | None, learner: "HappoLearner", sources: WarmStart) -> str | None:
+def fits(
+    named: Sequence[str], sources: WarmStart, arena: "Arena", team: int, home: Callable[[str, str], HomeTeam]
+) -> tuple[Fit | None, ...]:
+    """Return for each agent of a team how its source's network is fitted to its observation; None: it stays as it is.
+
+    Args:
+        named: the parts by which networks go on, `after_parts` of the settings; without any no network is fitted.
+        sources: those of the team's player.
+        arena: the arena in which the player is to learn.
+        team: the player's team in it.
+        home: gives the team for which a player of a league learnt, see `predecessors.home_of`.
+
+    Raises:
+        IncompatiblePolicy: the observations have no such parts, or an arena does not name its own; one line.
+    """
+    found: list[Fit | None] = []
+    for agent, source in zip(arena.teams[team].agents, sources.actors, strict=True):
+        if source is None or not named:
+            found.append(None)
+            continue
+        try:
+            there, here = home(source.league, source.player), arena.observation_parts(agent.name)
+            if not (there.agents[source.agent].parts and here):
+                raise ValueError(f"{arena.name if not here else there.arena} does not name the parts of observations")
+            found.append(fit(there.agents[source.agent].parts, here, named))
+        except ValueError as error:
+            raise IncompatiblePolicy(f"after_parts: {agent.kind} of {source.league}: {error}") from None
+    return tuple(found)
+
+
+def fits_of(
+    store: Store | None, config: Config, arena: "Arena", player: Player, sources: WarmStart
+) -> tuple[Fit | None, ...]:
+    """Return the fits of a player's sources in a league with these settings, as `fits` does, or raise StorageError."""
+    return fits(config.after_parts, sources, arena, player.team, lambda league, name: home_of(store, league, name))
+
+
+def fit_lines(store: Store, config: Config, arena: "Arena") -> list[str]:
+    """Return a line for each agent whose source's network is fitted to its observation. The league has its players."""
+    starts, lines = of_config(store, store.players(config.league), config), []
+    for player in store.players(config.league):
+        found = enumerate(fits_of(store, config, arena, player, starts[player.name]))
+        lines += [f"{player.name}/{i} goes on by parts of its observation; {own}." for i, own in found if own]
+    return lines
+
+
+def start(
+    store: Store | None, learner: "HappoLearner", sources: WarmStart, fitted: Sequence[Fit | None] = ()
+) -> str | None:
     """Load the weights of a player's sources into a new learner, and return the name of the first source's checkpoint.
 
     Inputs that were constant during the earlier training are ignored at first
-    (`checkpoint.with_constant_inputs_silenced`). Raises StorageError if a player has no checkpoint yet, or one that is
-    damaged or of another network.
+    (`checkpoint.with_constant_inputs_silenced`). `fitted` has the fits of the agents' networks, see `fits`. Raises
+    StorageError if a player has no checkpoint yet, or one that is damaged or of another network.
     """
     owners = dict.fromkeys((s.league, s.player) for s in sources.actors if s)
-    kept = {owner: _state(store, *owner) for owner in owners}
-    actors = [(kept[source[:2]][1], source.agent) if source else None for source in sources.actors]
+    kept = {owner: state_of(store, *owner) for owner in owners}
     try:
-        learner.warm_start(actors, kept[sources.critic][1] if sources.critic else None, from_other_arena=True)
+        actors = [
+            (_fitted(kept[source[:2]][1], source.agent, own), source.agent) if source else None
+            for source, own in zip(sources.actors, fitted or [None] * len(sources.actors), strict=True)
+        ]
+        critic = None if any(fitted) else sources.critic  # of equal size and other parts, it would judge by wrong ones
+        learner.warm_start(actors, kept[critic][1] if critic else None, from_other_arena=True)
     except ValueError as error:
         raise StorageError(f"cannot go on from {' and '.join(f'{a} {b}' for a, b in owners)}: {error}") from None
     return next((name for name, _ in kept.values()), None)
 
 
-def _state(store: Store | None, league: str, player: str) -> tuple[str, Mapping[str, np.ndarray]]:
-    """Return the name of a source player and its learner's state; for a frozen policy only the part for actors."""
-    known = {each.name for each in store.leagues()} if store is not None else set()
-    if league not in known and _is_policy(league):
-        return f"{Path(league).stem}/{player}", _arrays_of(policy_file.read(policy_file.find(league)))
-    assert store is not None  # `forerunners` knows no league of a store that is not there
-    if "/" in league:
-        snapshot = _snapshot(store, league)
-        state = _named(arrays.from_bytes(store.blobs.get(snapshot.digest)))
-        return league, _with_counts(state, snapshot.roster, snapshot.step)
-    kept = store.checkpoint(league, player)
-    if kept is None:
-        raise StorageError(f"player {player} of league {league} has no checkpoint to start from")
-    state = strategy_of(arrays.from_bytes(store.blobs.get(kept.digest)))  # its skills are not taken over
-    if found := _best(store, league, player):
-        snapshot, _ = found
-        return f"{league}/{snapshot.name}", {**state, **_named(arrays.from_bytes(store.blobs.get(snapshot.digest)))}
-    return f"{league}/{player}@{kept.iteration}", state
-
-
-def _best(store: Store, league: str, player: str) -> tuple[Snapshot, str] | None:
-    """Return the snapshot to start from for a player of a league, and its score in words; None: use the newest state.
-
-    The critic is always the newest one, because snapshots have none.
-    """
-    if league not in {known.name for known in store.leagues()}:
-        return None
-    settings = LeagueSettings(league, store.league(league).config)
-    quota = settings.get("rating", "episodes_per_pair", otherwise=Rating().episodes_per_pair)
-    against = settings.get("budget", "against", otherwise=[])
-    found = handed_on(LeagueState.of(store, league), player, quota, against)
-    return None if found is None else (found.snapshot, found.in_words)
+def _fitted(state: checkpoint.State, agent: int, own: Fit | None) -> checkpoint.State:
+    return state if own is None else checkpoint.with_inputs(checkpoint.upgrade_state(state), agent, own.places)
 
 
 def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.ndarray]) -> None:
@@ -345,32 +316,7 @@ def thaw_into(learner: "HappoLearner", frozen: bytes, known: Mapping[str, np.nda
     as `HappoLearner.load` does.
     """
     policies = arrays.from_bytes(frozen)
-    state = {**_named(policies), **known}
+    state = {**actors_of(policies), **known}
     if "sharing" in (own := learner.save()):
         state["sharing"] = own["sharing"]
     learner.warm_start([(state, i) for i in range(len(learner.actors))], None)
-
-
-def _named(policies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return a snapshot's arrays by their names in a learner's state, which has no skills."""
-    learnt = {name: array for name, array in policies.items() if not name.partition("/")[2].startswith(PREFIX)}
-    return {f"actor.{name.replace('/', '.', 1)}": array for name, array in learnt.items()}
-
-
-def _arrays_of(policy: policy_file.Policy) -> dict[str, np.ndarray]:
-    """Return a frozen policy's actors as in a learner's state."""
-    return _with_counts(_named(policy.arrays), policy.about["roster"], policy.about["steps"])
-
-
-def _with_counts(state: dict[str, np.ndarray], roster: str, steps: int) -> dict[str, np.ndarray]:
-    """Return the actors of a frozen policy that learnt from so many decisions, with the weight of its statistics.
-
-    If the policy normalises observations, its statistics have the weight of these decisions, so that a first batch does
-    not dominate them. They weigh at least one: the first snapshot of a later stage has learnt from none, and without a
-    weight its networks would not be kept as they are when the statistics move.
-    """
-    for i in range(len(roster_agents(roster))):
-        trunk = f"actor.{i}.trunk.observation_"
-        known = max(1, steps) if np.isfinite(state[f"{trunk}clip"]) else 0
-        state[f"actor.{i}.observed"] = np.full_like(state[f"{trunk}mean"], known)
-    return state

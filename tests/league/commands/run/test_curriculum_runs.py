@@ -14,7 +14,7 @@ from league.config import presets
 from league.config.schema import ConfigError
 from league.scheduling import curriculum
 from league.snapshots import policy_file
-from league.snapshots.transfer import warm_start
+from league.snapshots.transfer import predecessors, warm_start
 from league.snapshots.transfer.warm_start import IncompatiblePolicy, Source, WarmStart
 from storage.blobs import arrays
 from storage.errors import UnknownName
@@ -178,7 +178,7 @@ def store(tmp_path):
 
 def test_a_policy_that_comes_with_the_league_is_a_forerunner(store):
     policy = policy_file.read(policy_file.find("anymal-push"))
-    (pushed,), again = warm_start.forerunners(store, ["anymal-push"]), player("new", "blue", 0, DOG)
+    (pushed,), again = predecessors.forerunners(store, ["anymal-push"]), player("new", "blue", 0, DOG)
     assert pushed[0].roster == DOG
     (found,) = warm_start.of(store, [again], ["anymal-push"]).values()
     assert found == WarmStart((Source("anymal-push", policy.about["name"], 0),), None)
@@ -213,7 +213,7 @@ def test_what_stood_still_in_a_stage_says_nothing_at_first_in_the_next(store):
 
 def test_who_should_go_on_from_nothing_that_is_there_is_told_what_is(store):
     with pytest.raises(UnknownName, match=r"no league or trained policy 'anymal-psh' here.*mean 'anymal-push'"):
-        warm_start.forerunners(store, ["anymal-psh"])
+        predecessors.forerunners(store, ["anymal-psh"])
 
 
 def test_a_policy_of_other_numbers_is_refused():

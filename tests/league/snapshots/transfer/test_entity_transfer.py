@@ -100,7 +100,7 @@ def test_three_against_three_go_on_from_two_against_two(tmp_path, arena_of):
         config = replace(settings(3), after=("of-2",))
         players = players_of(config, arena_of[3])
         validate_start(store, config, arena_of[3], players)
-        validate_stage_starts(str(tmp_path / "store"), config, [players])
+        validate_stage_starts(str(tmp_path / "store"), config, [(config, arena_of[3])])
         flat = replace(settings(3, entities=0), after=("of-2",))
         with pytest.raises(ConfigError, match=r"puck sees 38 numbers and acts with 2 here, and sees 26 .* encode what"):
-            validate_stage_starts(str(tmp_path / "store"), flat, [players])
+            validate_stage_starts(str(tmp_path / "store"), flat, [(flat, arena_of[3])])

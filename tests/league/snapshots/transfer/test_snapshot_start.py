@@ -10,7 +10,7 @@ from league.config import experiment as configuration
 from league.config.schema import ConfigError
 from league.snapshots import policy_file
 from league.snapshots.codec import freeze
-from league.snapshots.transfer import warm_start
+from league.snapshots.transfer import predecessors, warm_start
 from storage.blobs import arrays
 from storage.errors import StorageError, UnknownName
 from storage.records import Player
@@ -76,7 +76,7 @@ def test_a_first_snapshot_with_statistics_acts_as_before_after_the_next_batch_of
 )
 def test_a_snapshot_without_networks_is_refused(store, name, error, says):
     with pytest.raises(error, match=says):
-        warm_start.forerunners(store, [name])
+        predecessors.forerunners(store, [name])
 
 
 @pytest.mark.parametrize("name", ["main/", "/blue@4", "a b/blue@4", "main/blue@4/x"])
@@ -95,8 +95,8 @@ def test_players_start_from_a_file_as_from_the_policy_that_comes_with_the_league
     (source,) = found.actors
     assert source is not None
     assert found.critic is None
-    name, state = warm_start._state(store, source.league, source.player)
-    _, same = warm_start._state(None, "leatherback-push", source.player)
+    name, state = predecessors.state_of(store, source.league, source.player)
+    _, same = predecessors.state_of(None, "leatherback-push", source.player)
     assert name == f"pusher/{policy_file.read(shipped).about['name']}"
     assert state.keys() == same.keys()
     assert all(np.array_equal(state[key], same[key]) for key in same)
@@ -105,6 +105,6 @@ def test_players_start_from_a_file_as_from_the_policy_that_comes_with_the_league
 def test_a_file_that_is_no_policy_is_refused(store, tmp_path):
     (tmp_path / "text.safetensors").write_text("no arrays")
     with pytest.raises(policy_file.ExchangeError, match=r"text\.safetensors is no policy that `league export` wrote"):
-        warm_start.forerunners(store, [str(tmp_path / "text.safetensors")])
+        predecessors.forerunners(store, [str(tmp_path / "text.safetensors")])
     with pytest.raises(StorageError, match=r"there\.safetensors"):
-        warm_start.forerunners(store, [str(tmp_path / "not" / "there.safetensors")])
+        predecessors.forerunners(store, [str(tmp_path / "not" / "there.safetensors")])
