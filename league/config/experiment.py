@@ -214,8 +214,7 @@ def stage(config: Config, number: int) -> Config:
                 ("learner", "architecture"), "learner.architecture: must be the same in all stages, which share actors"
             )
     except ConfigError as error:
-        key = (parts.KEY, str(number), *error.key)
-        raise ConfigError(key, f"stage {own.name}: {error.message}") from None
+        raise parts.of_stage(error, number, config.stages) from None
     least = [n for n in (made.budget.steps, config.budget.steps) if n is not None]
     budget = replace(made.budget, steps=min(least, default=None))
     if not last and not budget.ends:

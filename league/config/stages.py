@@ -104,6 +104,14 @@ def refused(own: Stage, error: ConfigError) -> ConfigError:
     return ConfigError((KEY, own.name), f"stage {own.name}: {message}")
 
 
+def of_stage(error: ConfigError, number: int, stages: Sequence[Stage]) -> ConfigError:
+    """Return an error of a stage's settings, which names the stage; its key is the stage's where that has one."""
+    own = stages[number]
+    given = any(all(a == b for a, b in zip(key, error.key, strict=False)) for key, _ in _flat(own.settings))
+    key = (KEY, str(number), *error.key) if given else error.key
+    return ConfigError(key, f"stage {own.name}: {error.message}")
+
+
 def written(stages: Sequence[Stage]) -> str:
     """Write the stages as TOML that `read` reads back unchanged."""
     return "".join(

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from arenas.description import describe_team
 from league.config import experiment as configuration
+from league.config import stages as parts
 from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
@@ -186,7 +187,12 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
     spec = RunSpec(**request["spec"])
     config = spec.config()
     stages = [configuration.stage(config, number) for number in range(len(config.stages))]
-    arenas = [_arena(each, players_in(spec.store, spec.blobs, each.league), ahead) for each in stages or [config]]
+    arenas = []
+    for number, each in enumerate(stages or [config]):
+        try:
+            arenas.append(_arena(each, players_in(spec.store, spec.blobs, each.league), ahead))
+        except ConfigError as error:
+            raise parts.of_stage(error, number, config.stages) if stages else error from None
     if os.getppid() != request["parent"]:
         raise PrepareError("the process that asked has gone; nothing was written")
     validate_stage_starts(spec.store, config, list(zip(stages or [config], arenas, strict=True)))

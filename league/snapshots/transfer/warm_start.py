@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from agents.learner import checkpoint
 from arenas.rosters import bare, roster_agents, roster_side
 from league.config import experiment, toml
 from league.config.experiment import Config
@@ -305,7 +304,9 @@ def start(
     return next((name for name, _ in kept.values()), None)
 
 
-def _fitted(state: checkpoint.State, agent: int, own: Fit | None) -> checkpoint.State:
+def _fitted(state: Mapping[str, np.ndarray], agent: int, own: Fit | None) -> Mapping[str, np.ndarray]:
+    from agents.learner import checkpoint  # loads torch, as the learner has
+
     return state if own is None else checkpoint.with_inputs(checkpoint.upgrade_state(state), agent, own.places)
 
 

@@ -1,8 +1,9 @@
 """What only the heavy half can refuse, and that it writes nothing then; that the light half stays light."""
 
+import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from league.config import presets
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
+from league.runtime import preflight
 from league.runtime.bootstrap import create
 from league.runtime.preflight import prepare
 from league.runtime.validation import roster, scripts, validate
@@ -144,6 +146,28 @@ def test_a_refused_league_leaves_nothing_and_a_good_one_is_whole(tmp_path, monke
         assert store.revision("duel") == before
         with pytest.raises(ConfigError, match=r"players that the settings do not name \(blue-2, red-2\)"):
             create(store, replace(config, players=()), arena)
+
+
+@pytest.mark.parametrize(
+    ("league", "a", "b", "key"),
+    [
+        ("", "", "training.schedule.learner = 2", ("stages", "1", "training", "schedule", "learner")),
+        ("training.schedule.learner = 2", "training.schedule.learner = 0", "", ("training", "schedule", "learner")),
+    ],
+    ids=["in the stage", "above the stages"],
+)
+def test_what_the_arena_of_a_stage_cannot_do_names_the_stage_and_where_it_was_said(league, a, b, key, tmp_path):
+    stages = f"[[stages]]\nname = 'a'\nbudget.steps = 8\n{a}\n[[stages]]\nname = 'b'\n{b}\n"
+    spec = RunSpec.of(
+        str(tmp_path / "store"), configuration.loads(f"arena.name = 'matching-pennies'\n{league}\n{stages}")
+    )
+    request = {"spec": asdict(spec), "parent": os.getppid(), "create": True, "imported": ()}
+    with pytest.raises(
+        ConfigError, match=r"^stage b: training\.schedule\.learner = 2: the arena's teams are"
+    ) as caught:
+        preflight._prepare(request, None)
+    assert caught.value.key == key
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
