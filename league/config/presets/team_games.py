@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, cast
 
 from agents.settings import Architecture, HappoConfig
 from league.config.experiment import Config, default
-from league.config.sections import Budget
+from league.config.sections import Budget, PlayerSettings
 from league.config.stages import Stage
+from matchmaking.opponents import Opponents
+from matchmaking.roles import Role
 
 if TYPE_CHECKING:
     from arenas.games.race.settings import RaceSettings
@@ -29,7 +31,8 @@ def tag() -> Config:
 
 def swarm() -> Config:
     """Eight pucks that want to reach a zone, and two rovers that guard it: networks of sets, one for all pucks and one
-    for both rovers, so that they can play in other numbers; for a GPU. Batches are small, since the game is slow.
+    for both rovers, so that they can play in other numbers; for a GPU. Batches are small, since the game is slow. The
+    swarm also meets earlier guards: against good ones alone it forgets what it could do.
     """
     config = default("swarm")
     learner = HappoConfig(
@@ -38,7 +41,11 @@ def swarm() -> Config:
     )  # fmt: skip
     training = replace(config.training, worlds=2048, shaping_steps=20_000_000, snapshots_per_doubling=2)
     budget = Budget(training_time="20m", rating_time="2m")
-    return replace(config, league="swarm", learner=learner, training=training, budget=budget)
+    players = (PlayerSettings("swarm", role="history"), PlayerSettings("guards"))
+    roles = (Role("history", opponents=Opponents("uniform", past=0.5)),)
+    return replace(
+        config, league="swarm", players=players, roles=roles, learner=learner, training=training, budget=budget
+    )
 
 
 def gate_race() -> Config:
