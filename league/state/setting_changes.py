@@ -71,7 +71,8 @@ def run_changes(before: str, now: str) -> list[str]:
 
 
 def start_changed(before: str, now: str) -> bool:
-    """Return whether `after` differs between two configurations as text, the league's or that of a player of both.
+    """Return whether `after` differs between two configurations as text, the league's or that of a player of both, or
+    `after_parts`.
 
     It does not if one cannot be read.
     """
@@ -81,7 +82,7 @@ def start_changed(before: str, now: str) -> bool:
     except (ValueError, ConfigError, RecursionError):
         return False
     changed = any(theirs[name] != ours[name] for name in theirs.keys() & ours.keys())
-    return one.get("after", []) != other.get("after", []) or changed
+    return any(one.get(key, []) != other.get(key, []) for key in ("after", "after_parts")) or changed
 
 
 def _settings_of_runs(text: str) -> Iterator[tuple[str, Any]]:

@@ -142,9 +142,11 @@ def _setting_changes(where: str, config: Config) -> list[str]:
         return []
     told = []
     if begun and config.every_after and start_changed(kept.get(config.league, ""), configuration.dumps(config)):
+        by_parts = f", by after_parts = {json.dumps(config.after_parts)}," if config.after_parts else ""
         told.append(
-            f"after = {json.dumps(config.every_after)} is for players that begin to learn: {', '.join(begun)} of league"
-            f" {first.league} go on from where they are. A league of another name (--league) starts from there."
+            f"after = {json.dumps(config.every_after)}{by_parts} is for players that begin to learn:"
+            f" {', '.join(begun)} of league {first.league} go on from where they are. A league of another name"
+            " (--league) starts from there."
         )
     for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
         before, now = kept.get(each.league, ""), configuration.dumps(each)

@@ -66,6 +66,7 @@ def test_another_start_is_noticed():
     walk = experiment.dumps(replace(PLAIN, after=("anymal-walk",)))
     assert start_changed(experiment.dumps(PLAIN), walk)
     assert not start_changed(walk, walk)
+    assert start_changed(walk, walk.replace("after_parts = []", 'after_parts = ["*"]'))
     assert not start_changed("after =", walk)
 
 
