@@ -24,7 +24,7 @@ class Fit(NamedTuple):
     lost: tuple[str, ...]  # parts there of which it sees none here
 
     def __str__(self) -> str:
-        sentences = {"sees": self.kept, "new to it": self.new, "no longer seen": self.lost}
+        sentences = {"they see": self.kept, "new to them": self.new, "no longer seen": self.lost}
         return "; ".join(f"{what}: {', '.join(names)}" for what, names in sentences.items() if names)
 
 

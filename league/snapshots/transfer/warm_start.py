@@ -273,12 +273,17 @@ def fits_of(
 
 
 def fit_lines(store: Store, config: Config, arena: "Arena") -> list[str]:
-    """Return a line for each agent whose source's network is fitted to its observation. The league has its players."""
-    starts, lines = of_config(store, store.players(config.league), config), []
-    for player in store.players(config.league):
-        found = enumerate(fits_of(store, config, arena, player, starts[player.name]))
-        lines += [f"{player.name}/{i} goes on by parts of its observation; {own}." for i, own in found if own]
-    return lines
+    """Return a line for each fit of sources' networks to observations, with the agents that have it.
+
+    The league must have its players.
+    """
+    players, agents = store.players(config.league), dict[str, list[str]]()
+    starts = of_config(store, players, config)
+    for player in players:
+        for i, own in enumerate(fits_of(store, config, arena, player, starts[player.name])):
+            if own is not None:
+                agents.setdefault(str(own), []).append(f"{player.name}/{i}")
+    return [f"by parts of their observations go on {', '.join(names)}; {own}." for own, names in agents.items()]
 
 
 def start(

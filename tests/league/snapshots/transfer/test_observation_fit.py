@@ -34,7 +34,7 @@ def test_parts_are_found_by_name_and_size_wherever_they_stand():
     assert found is not None
     assert found.places.tolist() == [5, -1, -1, -1, 0, 1, -1, -1]
     assert (found.kept, found.new, found.lost) == (("time", "speed"), ("ball", "time"), ("goal",))
-    assert str(found) == "sees: time, speed; new to it: ball, time; no longer seen: goal"
+    assert str(found) == "they see: time, speed; new to them: ball, time; no longer seen: goal"
 
 
 def test_a_part_with_another_name_takes_over_and_is_not_taken_twice():
@@ -168,9 +168,11 @@ def test_the_start_of_a_run_is_examined_and_told(learnt, arena_of):
     validate_stage_starts(where, config, [(config, arena)])
     validate_start(learnt, config, arena, players_of(config, arena))
     create(learnt, config, arena)
-    lines = warm_start.fit_lines(learnt, config, arena)
-    assert [line.partition(" ")[0] for line in lines] == ["blue/0", "blue/1", "red/0", "red/1"]
-    assert "enemy's margin as enemy 0's margin; new to it: team-mate's position" in lines[0]
+    (line,) = warm_start.fit_lines(learnt, config, arena)
+    assert line.startswith(
+        "by parts of their observations go on blue/0, blue/1, red/0, red/1; they see: last throttle, "
+    )
+    assert "enemy's margin as enemy 0's margin; new to them: team-mate's position" in line
 
 
 def test_networks_of_another_observation_are_refused_without_parts(learnt, arena_of):
