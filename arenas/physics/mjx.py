@@ -108,7 +108,7 @@ class MjxEngine(Engine):
     def _repeat(self, substep: Callable[[Physics], Physics], physics: Physics, n: int) -> Physics:
         """Return the world after `n` substeps, in a loop of XLA's: it then compiles MJX's step once, and not `n` times.
 
-        Steps of Warp are calls that compile at once, and on a GPU a loop would keep XLA from recording them as a graph.
+        Steps of Warp are calls, of which XLA compiles nothing, and are written out.
         """
         if self.name == "warp" or n == 1:
             return super()._repeat(substep, physics, n)
