@@ -121,6 +121,12 @@ class Engine(ABC):
     def _derive(self, physics: Physics) -> Physics:
         """Fill the derived fields from (qpos, qvel, ctrl)."""
 
+    def _repeat(self, substep: Callable[[Physics], Physics], physics: Physics, n: int) -> Physics:
+        """Return the world after a function of it was applied `n` times."""
+        for _ in range(n):
+            physics = substep(physics)
+        return physics
+
     # The verbs -------------------------------------------------------------------------------------------------------
 
     def make(self, qpos: Array, qvel: Array, model: Mapping[str, Array] | None = None) -> Physics:
@@ -175,8 +181,9 @@ class Engine(ABC):
         elif law is None:
             physics = self._substeps(physics, command, n_substeps)
         else:
-            for _ in range(n_substeps):
-                physics = self._substeps(physics, law(physics.qpos, physics.qvel, command), 1)
+            physics = self._repeat(
+                lambda world: self._substeps(world, law(world.qpos, world.qvel, command), 1), physics, n_substeps
+            )
         bad = ~jnp.all(is_finite(physics.qpos, physics.qvel))
         # Count whole timesteps: a float32 sum of them is off by a control step after two minutes.
         timestep = self.model.opt.timestep

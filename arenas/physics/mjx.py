@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
+import jax
 import jax.numpy as jnp
 import mujoco
 from jax import Array
@@ -93,13 +94,25 @@ class MjxEngine(Engine):
 
     def _substeps(self, physics: Physics, ctrl: Array, n: int) -> Physics:
         model, data = self._own(physics), physics.carry.replace(ctrl=ctrl, **self._wrenches(physics.push))
-        causes = physics.causes
-        for _ in range(n):
-            data = mjx.step(model, data)
+
+        def substep(world: Physics) -> Physics:
+            data = mjx.step(model, world.carry)
             if self.name == "warp":
-                causes |= overflow_causes(data._impl.overflow)
-        qpos, qvel = keep_apart_from_fusion(data.qpos, data.qvel)
-        return physics._replace(qpos=qpos, qvel=qvel, ctrl=ctrl, causes=causes, carry=data)
+                world = world._replace(causes=world.causes | overflow_causes(data._impl.overflow))
+            return world._replace(carry=data)
+
+        physics = self._repeat(substep, physics._replace(carry=data), n)
+        qpos, qvel = keep_apart_from_fusion(physics.carry.qpos, physics.carry.qvel)
+        return physics._replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
+
+    def _repeat(self, substep: Callable[[Physics], Physics], physics: Physics, n: int) -> Physics:
+        """Return the world after `n` substeps, in a loop of XLA's: it then compiles MJX's step once, and not `n` times.
+
+        Steps of Warp are calls, of which XLA compiles nothing, and are written out.
+        """
+        if self.name == "warp" or n == 1:
+            return super()._repeat(substep, physics, n)
+        return jax.lax.fori_loop(0, n, lambda _, world: substep(world), physics)
 
     def _place(self, carry: Any, qpos: Array, qvel: Array, where: Array) -> Any:
         if self.name == "warp":  # Warp never clears overflow bits itself

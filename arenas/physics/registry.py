@@ -84,6 +84,8 @@ def make_engine(
             ) from error
         if warp.config.log_level == warp.LOG_INFO:  # avoid a line for each of some 45 modules
             warp.config.log_level = warp.LOG_WARNING
+        if jax.config.read("jax_disable_most_optimizations") and jax.default_backend() == "cpu":
+            warp.config.optimization_level = 0  # LLVM compiles the kernels too; NVRTC refuses this level
     from arenas.physics.mjx import MjxEngine  # takes seconds to import, so only for MJX and Warp
 
     try:

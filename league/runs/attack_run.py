@@ -8,7 +8,7 @@ from league.config.run_spec import RunSpec
 from league.matches.exploitability import Attack, begin
 from league.queries.query import Open
 from league.runtime.manager import Manager, ManagerError
-from league.runtime.preflight import prepare
+from league.runtime.preflight import preparation
 from league.scheduling.training_progress import trained_enough
 from league.state.league_state import LeagueState
 from storage.records import Snapshot
@@ -26,14 +26,14 @@ def train_attacker(
     """
     store, config = opened.store, chosen.config
     spec = RunSpec.of(where, config)
-    prepared = prepare(spec, config, imported=(chosen.victim.name,))
-    begin(store, chosen)
-    store.set_config(config.league, spec.config_toml)
-    if not trained_enough(config, LeagueState.of(store, config.league)):
-        sized = replace(spec, worlds=prepared.worlds)
-        tell = (lambda *_: None) if progress is None else progress(config)
-        if Manager(store, sized, config).run(tell) == "stopped":
-            return None
+    with preparation(spec, config, imported=(chosen.victim.name,)) as (prepared, worker):
+        begin(store, chosen)
+        store.set_config(config.league, spec.config_toml)
+        if not trained_enough(config, LeagueState.of(store, config.league)):
+            sized = replace(spec, worlds=prepared.worlds)
+            tell = (lambda *_: None) if progress is None else progress(config)
+            if Manager(store, sized, config, worker).run(tell) == "stopped":
+                return None
     frozen = store.snapshots(config.league, chosen.player)
     if not frozen or not frozen[-1].iteration:
         raise ManagerError(f"the attacker has learnt nothing: `league status --league {config.league}` tells why")

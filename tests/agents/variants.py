@@ -40,6 +40,7 @@ EVERY_UPDATE = VARIANTS | {  # also where networks and precisions make other ker
     "recurrent bf16": RECURRENT | {"precision": "bf16"},
     "paper": {"architecture": Architecture((6, 6), "relu", layer_norm=True), "minibatches": 1, "fixed_order": True},
 }  # fmt: skip
+AGENTS = [4, 4, 3], [2, 2, 1]  # numbers that each of them observes, and chooses
 SIGHT = 7  # numbers that a critic sees which sees no observations
 SIDES = {"privileged": 1, "same": 2}  # from which such a critic learns
 
@@ -61,9 +62,11 @@ def with_sides(batch: Batch, critic_views: int, size: int = SIGHT, seed: int = 1
 
 def experienced(experience: Callable[..., Batch], learner: HappoLearner, seed: int, N: int) -> Batch:
     """A batch with void decisions and agents that are out of the game."""
-    cpu = HappoLearner([4, 4, 3], [2, 2, 1], replace(learner.config, cuda_graphs=False), 3, critic_size=SIGHT)
+    agents = len(learner.actors)
+    sizes = (each[-agents:] for each in AGENTS)
+    cpu = HappoLearner(*sizes, replace(learner.config, cuda_graphs=False), 3, critic_size=SIGHT)
     batch, rng = experience(cpu, seed=seed, N=N, void=0.2), torch.Generator().manual_seed(seed)
-    alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(6)]
-    batch = batch._replace(alive=alive[:3], next_alive=alive[3:])
+    alive = [torch.rand(batch.rewards.shape, generator=rng) < 0.7 for _ in range(2 * agents)]
+    batch = batch._replace(alive=alive[:agents], next_alive=alive[agents:])
     batch = with_sides(batch, SIDES.get(learner.config.critic_input, 0), seed=seed)
     return pytree.tree_map(lambda x: x.to(learner.device), batch)

@@ -10,8 +10,12 @@ from storage.records import RATED_PURPOSES
 from storage.store import Store
 from tests.league.conftest import BODILESS, PUCKS, call, held_amid_a_turn, start, wait_for
 
-LIMITS = ("--deterministic", "--budget.steps", "40000", "--budget.rating_time", "5m", "--workers.lease", "60")
-TWO = ("run", *PUCKS, *LIMITS)
+# Manager and worker wait for each other between two batches of matches, so a few large ones take half of the time.
+LIMITS = (
+    "--deterministic", "--budget.steps", "40000", "--budget.rating_time", "5m", "--workers.lease", "60",
+    "--rating.pairings", "8", "--rating.episodes_per_pair", "8", "--rating.final-episodes-per-pair", "8",
+)  # fmt: skip
+TWO = ("run", *PUCKS, *LIMITS, "--training.rollout_length", "16", "--budget.steps", "20000")  # as many iterations
 HUNTED = (
     "run", *BODILESS, *LIMITS,
     "--players", '[{team = "blue"}, {team = "red"}, {team = "red", name = "hunter", role = "main_exploiter"}]',
@@ -75,7 +79,7 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, 
     rated = [
         match for match in matches if match.purpose in RATED_PURPOSES
     ]  # an episode of training is written with its turn
-    assert sum(job.kind == "match" for job in jobs) * 2 == len(rated)  # two pairings a batch
+    assert sum(job.kind == "match" for job in jobs) * 8 == len(rated)  # eight pairings a batch
 
 
 @pytest.mark.slow
