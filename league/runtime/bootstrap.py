@@ -1,7 +1,7 @@
 """The rows with which a league begins, and the checks of a configuration against the contents of the store."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from league.config import experiment as configuration
@@ -81,13 +81,14 @@ def validate_stage_starts(where: str, config: Config, stages: "Sequence[tuple[Co
     """
     if _has_begun(where, config):
         return
-    before, own = _predecessors(where, config)
+    with _opened(where, config) as store:
+        before = forerunners(store, config.after)
+        own = [{name: forerunners(store, names) for name, names in stage.own_after.items()} for stage, _ in stages]
     earlier: dict[tuple[str, str], tuple[Player, Arena]] = {}
     for number, (stage, arena) in enumerate(stages):
         players = players_of(stage, arena)
-        theirs = own if number == len(stages) - 1 else {}  # earlier stages have one main player a team
         try:
-            found = warm_starts(players, before, any_size=takes_any_size(stage), own=theirs)
+            found = warm_starts(players, before, any_size=takes_any_size(stage), own=own[number])
             for player in players:
                 _validate_fits(stage, arena, player, found[player.name], earlier)
         except IncompatiblePolicy as error:
@@ -123,19 +124,14 @@ def _has_begun(where: str, config: Config) -> bool:
         return False
 
 
-def _predecessors(where: str, config: Config) -> tuple[list[Sequence[Player]], dict[str, list[Sequence[Player]]]]:
-    """Return the players of the leagues and policies named in `after`, and those named in each player's own `after`.
-
-    A store that does not exist has no leagues.
-    """
-    if not config.every_after:
-        return [], {name: [] for name in config.own_after}
+@contextmanager
+def _opened(where: str, config: Config) -> Iterator[Store | None]:
+    """Open the store at `where`; None if it does not exist yet, and so has no leagues."""
     with ExitStack() as stack:
         store = None
         with suppress(NotAStore):
             store = stack.enter_context(Store.open(where, blobs=config.storage.blobs))
-        own = {name: forerunners(store, names) for name, names in config.own_after.items()}
-        return forerunners(store, config.after), own
+        yield store
 
 
 def validate_first_start(where: str, config: Config, arena: "Arena") -> None:

@@ -83,17 +83,27 @@ def you_shall_not_pass() -> Config:
 
 def kick_and_defend() -> Config:
     """Humanoids of which one kicks a ball at a goal and the other keeps it, in both roles (Bansal et al. 2018); for a
-    GPU. In the first stage they begin near the middle of the ranges of their starts, who falls loses, and standing and
-    walking are worth more than a goal.
+    GPU. A humanoid first learns to walk to a point; then, with the ball in the point's place, to kick it past a keeper
+    that never learns; then both play in both roles.
     """
-    rules = {"spread": 0.1, "falls_lose": True}
-    reward = {"alive": 2.0, "forward": 1.0, "approach": -0.3}
-    easy = {
-        "arena": {"rules": rules, "reward": reward},
+    walk = {
+        "arena": {"name": "walk", "blue": ["humanoid"], "rules": {"goal": 10.0}},
+        "learner": {"lr": 1e-3, "gamma": 0.99, "entropy_coef": 0.005, "initial_std": 0.6},
+        "training": {"worlds": 2048, "shaping_steps": 50_000_000, "opponents": {"kind": "latest", "delta": 0.0}},
+        "budget": {"success": 0.9, "steps": 200_000_000},
+    }  # fmt: skip
+    kick = {
+        "arena": {
+            # Kicker and ball begin near the middle of the ranges of their starts.
+            "rules": {"roles": "fixed", "spread": 0.1, "box": 4.0},
+            "reward": {"approach": -0.3, "ball": -1.0, "alive": 0.2},
+        },
+        "after_parts": ["*", "goal=ball"],
+        "players": [{"team": "kicker"}, {"team": "keeper", "role": "fixed", "after": []}],
         "training": {"shaping_steps": 10**12},  # these rewards stay
-        "budget": {"steps": 150_000_000},
+        "budget": {"steps": 100_000_000},
     }
-    stages = (Stage("near", easy), Stage("full", {}))
+    stages = (Stage("walk", walk), Stage("kick", kick), Stage("full", {}))
     return replace(_contest("kick-and-defend", 800_000_000), stages=stages)
 
 

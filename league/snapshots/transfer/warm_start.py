@@ -2,9 +2,9 @@
 
 An agent continues from an agent of the same kind of robot, of the nearest league that has one. Where sides are unlike,
 agents that played another side are used only if no league has one that played its own. If the league has several, they
-are used in turn. An agent of an untrained kind starts from scratch. A policy with another size of observation or action
-is refused, because that is a mistake in the settings, unless `after_parts` names the parts of the observation by which
-its network goes on (`observation_fit.py`).
+are used in turn; those of players that never learn only if there are no others. An agent of an untrained kind starts
+from scratch. A policy with another size of observation or action is refused, because that is a mistake in the settings,
+unless `after_parts` names the parts of the observation by which its network goes on (`observation_fit.py`).
 """
 
 from collections import Counter
@@ -28,6 +28,7 @@ from league.snapshots.transfer.predecessors import (
     settings_of,
     state_of,
 )
+from matchmaking.roles import FIXED
 from storage.blobs import arrays
 from storage.errors import StorageError
 from storage.records import Player
@@ -90,16 +91,16 @@ def _source(
     for sides in ({side, ""}, None):
         for league in before:
             able = {
-                Source(player.league, player.name, i): other
+                Source(player.league, player.name, i): (other, player.role == FIXED.name)
                 for player in sorted(league, key=lambda p: (p.role != "main", p.team, p.name))
                 for i, other in enumerate(roster_agents(player.roster))
                 if _kind(other) == kind and (not side or sides is None or roster_side(player.roster) in sides)
             }
             if able:
-                known = tuple(able)
+                known = tuple(source for source, (_, fixed) in able.items() if not fixed) or tuple(able)
                 source = known[taken[known] % len(known)]
                 taken[known] += 1
-                _require_sizes(agent, able[source], source, any_size)
+                _require_sizes(agent, able[source][0], source, any_size)
                 return source
     return None
 

@@ -14,6 +14,7 @@ from arenas.description import Part
 from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
+from league.config.sections import PlayerSettings
 from league.runtime.bootstrap import create, players_of, validate_stage_starts
 from league.runtime.checkpoint_compat import validate_start
 from league.runtime.validation import validate
@@ -21,6 +22,7 @@ from league.snapshots.transfer import warm_start
 from league.snapshots.transfer.observation_fit import fit
 from league.training.learner_factory import new_learner
 from storage.blobs import arrays
+from storage.errors import UnknownName
 from storage.records import Checkpoint, Job
 from storage.store import Store
 from tests.agents.conftest import make_batch
@@ -199,6 +201,35 @@ def test_a_wrong_part_of_a_later_stage_is_refused_when_the_first_begins(tmp_path
         validate_stage_starts(str(tmp_path / "none"), config, stages)
     stages[1] = (second, arena_of["quickstart"])
     validate_stage_starts(str(tmp_path / "none"), config, stages)
+
+
+def test_a_player_of_a_stage_that_starts_from_nothing_needs_no_parts(tmp_path, arena_of):
+    config, where = replace(rovers("duel"), league="cup"), str(tmp_path / "none")
+    first = replace(config, league="cup.one"), arena_of["duel"]
+
+    def from_these(blue, red):
+        own = (PlayerSettings("blue", after=blue), PlayerSettings("red", after=red))
+        second = replace(rovers("quickstart"), league="cup.two", after=("cup.one",), players=own)
+        validate_stage_starts(where, config, [first, (second, arena_of["quickstart"])])
+
+    from_these((), ())
+    with pytest.raises(ConfigError, match=r"sees 38 numbers and acts with 2 here, and sees 20 .* in cup\.one"):
+        from_these((), None)
+    with pytest.raises(UnknownName, match="gone"):
+        from_these((), ("gone",))
+
+
+def test_in_the_preset_of_kick_and_defend_a_walker_becomes_the_kicker_and_then_both_players(tmp_path):
+    config = presets.preset("kick-and-defend")
+    stages = [configuration.stage(config, number) for number in range(len(config.stages))]
+    built = [(stage, stage.arena.build(engine="c", threads=1)) for stage in stages]
+    validate_stage_starts(str(tmp_path / "none"), config, built)
+    walk, kick, full = (players_of(*each) for each in built)
+    (walker,) = walk
+    own = {player.name: [] for player in kick if player.role == "fixed"}
+    assert warm_start.warm_starts(kick, [walk], any_size=True, own=own)["kicker"].actors[0].player == walker.name
+    found = warm_start.warm_starts(full, [kick, walk], any_size=True)
+    assert {start.actors[0].player for start in found.values()} == {"kicker"}
 
 
 @pytest.mark.parametrize("learnt", [{"layer_norm": True}], indirect=True)

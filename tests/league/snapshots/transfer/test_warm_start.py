@@ -1,5 +1,7 @@
 """Which agent of earlier leagues each player goes on from, where sides are unlike and where they are not."""
 
+from dataclasses import replace
+
 from league.snapshots.transfer.warm_start import Source, warm_starts
 from storage.records import Player
 
@@ -25,6 +27,13 @@ def test_each_side_goes_on_from_its_own_among_policies_that_are_leagues_of_one()
 def test_each_side_of_several_players_goes_on_from_its_own_in_turn():
     before, here = players("old", RUNNER, BLOCKER, BLOCKER), players("new", *[RUNNER] * 2, *[BLOCKER] * 3)
     assert [found[0].player for found in sources(here, before) if found[0]] == ["p0", "p0", "p1", "p2", "p1"]
+
+
+def test_a_player_that_never_learns_hands_on_only_where_nobody_else_can():
+    kicker, keeper = players("drill", RUNNER, BLOCKER)
+    fixed, here = replace(keeper, role="fixed"), players("game", PLAIN, PLAIN)
+    assert sources(here, [kicker, fixed]) == [(Source("drill", "p0", 0),)] * 2
+    assert sources(here, [fixed]) == [(Source("drill", "p1", 0),)] * 2
 
 
 def test_a_player_with_a_start_of_its_own_leaves_the_others_theirs():
