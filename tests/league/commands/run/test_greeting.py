@@ -9,9 +9,9 @@ from tests.league.leagues import CONFIG, filled
 CHANGED = "mine.safetensors: An action of the rover means something else here than in race"
 
 
-def test_changed_actions_are_told_once_when_the_manager_leads(tmp_path, capsys):
+def test_what_starts_change_is_told_once_when_the_manager_leads(tmp_path, capsys):
     led = []
-    prepared = Prepared("race", "c", 8, ("blue (1 × rover)", "red (1 × rover)"), changed_actions=(CHANGED,))
+    prepared = Prepared("race", "c", 8, ("blue (1 × rover)", "red (1 × rover)"), starts=(CHANGED,))
     with filled(tmp_path / "store") as store:
         report = background._Reporter(store, Config(league="cup"), CONFIG, prepared, lambda: led.append(True))
         for _ in range(2):
