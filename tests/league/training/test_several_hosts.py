@@ -28,7 +28,6 @@ RUN = (
     "run", "--arena.name", "rock-paper-scissors", "--league", LEAGUE, "--seed", "3", "--training.worlds", "16",
     "--training.rollout_length", "8", "--training.iterations_per_turn", "4", "--training.devices", "2",
     "--training.device", "cpu", "--deterministic", "--workers.match", "0", "--budget.rating_time", "0s",
-    "--learner.epochs", "1", "--learner.minibatches", "2",  # ranks wait for each other in every step
 )  # fmt: skip
 SHORT = ("--budget.steps", str(ITERATIONS * 16 * 8))
 ENDLESS = ("--budget.steps", str(10**9), "--training.iterations_per_turn", "100000")
