@@ -37,7 +37,6 @@ DEFAULT = configuration.default("rock-paper-scissors")
 CONFIG = replace(
     DEFAULT, league=LEAGUE, deterministic=True, budget=configuration.Budget(steps=7 * 16 * 8),
     training=replace(DEFAULT.training, worlds=16, rollout_length=8, iterations_per_turn=4, devices=2, device="cpu"),
-    learner=replace(DEFAULT.learner, epochs=1, minibatches=2),  # ranks wait for each other in every step
 )  # fmt: skip
 
 
@@ -234,7 +233,7 @@ def test_an_error_is_the_same_in_the_worker(error):
 RUN = (
     "run", "--arena.name", "rock-paper-scissors", "--league", "tiny", "--seed", "3", "--training.worlds", "64",
     "--training.devices", "2", "--training.device", "cpu", "--deterministic", "--budget.steps", str(10**9),
-    "--workers.match", "0", "--learner.epochs", "1", "--learner.minibatches", "2",
+    "--workers.match", "0",
 )  # fmt: skip
 
 
