@@ -164,5 +164,5 @@ def test_a_compiled_step_is_a_step(device: str):
 @pytest.mark.parametrize("device", HERE)
 @pytest.mark.parametrize("name", ["happo", pytest.param("paper", marks=pytest.mark.gpu)])  # a CPU compiles for a minute
 def test_a_compiled_update_is_an_update(name: str, device: str, experience):
-    """Of two unlike agents: a compiler takes seconds for the kernels of each network."""
+    """Compare updates of two unlike agents only, because a compiler takes seconds for the kernels of each network."""
     assert_alike(EVERY_UPDATE[name], device, experience, 1e-4, agents=2)

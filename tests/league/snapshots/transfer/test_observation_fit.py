@@ -18,9 +18,14 @@ from league.config.sections import PlayerSettings
 from league.runtime.bootstrap import create, players_of, validate_stage_starts
 from league.runtime.checkpoint_compat import validate_start
 from league.runtime.validation import validate
+from league.scheduling import turn_scheduler
 from league.snapshots.transfer import warm_start
 from league.snapshots.transfer.observation_fit import fit
+from league.state.jobs import decode
+from league.state.league_state import LeagueState
 from league.training.learner_factory import new_learner
+from league.training.learner_pool import LearnerPool
+from league.training.turn_end import TurnFinalizer
 from storage.blobs import arrays
 from storage.errors import UnknownName
 from storage.records import Checkpoint, Job
@@ -163,6 +168,21 @@ def test_what_is_new_to_a_policy_moves_it_once_it_learns(learnt, arena_of):
     learner.learn(make_batch(learner, seed=2))
     weights = learner.save()["actor.0.trunk.hidden.0.weight"]
     assert (weights[:, fitted[0].places < 0] != 0).all(axis=0).any()
+
+
+def test_the_first_turn_of_a_league_makes_players_that_are_fitted(learnt, arena_of):
+    config, arena = two_a_side(), arena_of["quickstart"]
+    create(learnt, config, arena)
+    players = learnt.players(config.league)
+    (job,) = turn_scheduler.next_turns(config, LeagueState.of(learnt, config.league)).jobs
+    pool = LearnerPool(config, arena, players)
+    TurnFinalizer(pool, decode(job), learnt).begin(learnt)
+    found = warm_start.of_config(learnt, players, config)
+    for player in players:
+        new = warm_start.fits_of(learnt, config, arena, player, found[player.name])[0].places < 0
+        weights = pool.learners[player.name].save()["actor.0.trunk.hidden.0.weight"]
+        assert (weights[:, new] == 0).all()
+        assert (weights[:, ~new] != 0).any(axis=0).all()
 
 
 def test_the_start_of_a_run_is_examined_and_told(learnt, arena_of):
