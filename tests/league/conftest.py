@@ -122,8 +122,9 @@ def held_amid_a_turn(folder: Path, at_least: int) -> Worker:
 
 
 def ran_once(factory: pytest.TempPathFactory, name: str, *args: str) -> Path:
-    """A folder of this process with the league that `league run ARGS` makes there; all processes of a session share the
-    run, whose output is in out.txt.
+    """A new folder with the league that `league run ARGS` makes there, and its output in out.txt.
+
+    All processes of a session share the run, and fixtures of a module too, which pytest-xdist may build again.
     """
     base = factory.getbasetemp()
     made = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"{name}-made"
@@ -133,7 +134,7 @@ def ran_once(factory: pytest.TempPathFactory, name: str, *args: str) -> Path:
             done = call("run", *args, cwd=made)
             assert done.returncode == 0, done.stderr
             (made / "out.txt").write_text(done.stdout)
-    return shutil.copytree(made, base / name)
+    return shutil.copytree(made, factory.mktemp(name), dirs_exist_ok=True)
 
 
 @pytest.fixture(scope="session")

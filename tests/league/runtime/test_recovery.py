@@ -39,6 +39,21 @@ def results(folder):
         )
 
 
+def unequal_figures(*folders):
+    """Return the first iteration whose figures differ between two leagues, speeds aside, with player and figures."""
+    curves = []
+    for folder in folders:
+        with Store.open(folder / "league-data") as store:
+            points = [p for player in store.players("tiny") for p in store.curves("tiny", player.name)]
+            curves.append({(p.iteration, p.player): {**p.values, "steps_per_second": 0.0} for p in points})
+    one, other = curves
+    for at in sorted({*one, *other}):
+        if one.get(at) != other.get(at):
+            pairs = zip(one.get(at, {}).items(), other.get(at, {}).items(), strict=False)
+            return at, [pair for pair in pairs if pair[0] != pair[1]]
+    return None
+
+
 def kill_manager(run, folder, *held):
     """Kill the manager, and wait until its workers, of which some may be held, have noticed and ended."""
     run.send_signal(signal.SIGKILL)
@@ -69,6 +84,7 @@ def test_killed_workers_and_manager_cost_no_result_and_change_no_byte(tmp_path, 
     before = results(killed)
     assert call(*run, cwd=killed).returncode == 0
 
+    assert unequal_figures(undisturbed, killed) is None  # says at what figure two leagues part
     ends, frozen, matches, jobs = results(killed)
     assert (ends, frozen) == results(undisturbed)[:2] == before[:2]
     assert len(matches) > len(before[2])
