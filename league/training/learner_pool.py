@@ -53,7 +53,7 @@ class LearnerPool:
         self._skill_params = {name: self._params_of_skills(name) for name in self.skills}
         self.counters = {player.name: Counters() for player in players}
         self.histories: Mapping[str, list[Snapshot]] = {}  # of the players of the turn, oldest first
-        self.updates = UpdatePool(list(self.learners.values()))
+        self.updates = UpdatePool(list(self.learners.values()), one_here=config.deterministic)
         self._annealing = {name: self._new_annealing(name) for name in self.players}
         self._at = dict.fromkeys(self.players, "")  # digests of the checkpoints that the learners' states equal
         self._games: list[Meeting] = []  # training games of the present generations

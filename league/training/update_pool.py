@@ -4,7 +4,9 @@ An update consists of thousands of short operations, after each of which a threa
 threads take half as long again as one, while two processes take no longer (docs/speed.md). An update worker receives a
 learner's constructor arguments, its state and its batch, and returns the state after the update; it keeps nothing.
 Workers start once updates have taken `PATIENCE`, because starting one takes time: short runs never have any. Until
-then, and after a worker has died, threads do its work.
+then, and after a worker has died, threads do its work. In a deterministic league one thread does: of hundreds of
+leagues on busy processors of Intel a few learnt otherwise in the last digit, from the first update of a process on
+(experiments/notes/faults.md), and updates that begin at once in two threads are what those have in common.
 """
 
 import json
@@ -69,15 +71,19 @@ def run_inline(request: UpdateRequest) -> Found:
 
 
 class UpdatePool:
-    """Executors of the updates of a process's learners. The result does not depend on the executor."""
+    """Executors of the updates of a process's learners. The result does not depend on the executor.
 
-    def __init__(self, learners: Sequence[HappoLearner | OwnLearner]):
+    With `one_here` this process makes one update at a time, and only its workers make others beside it.
+    """
+
+    def __init__(self, learners: Sequence[HappoLearner | OwnLearner], one_here: bool = False):
         # One thread for a GPU, which one update keeps busy, for ranks, whose collectives must keep their order, and for
         # learners of other classes, which may use torch's global random numbers.
         ours = [learner for learner in learners if isinstance(learner, HappoLearner)]
         free = len(ours) == len(learners) and all(each.device.type == "cpu" and each.comm.size == 1 for each in ours)
         self._most = min(cores(), len(learners)) if free else 1
         self._may_start_workers = not any(learner.config.compiled for learner in ours)  # a worker would compile again
+        self._most_here = 1 if one_here else self._most
         self._threads = ThreadPoolExecutor(self._most, "update")
         self.workers: list[UpdateWorker] = []
         self._seconds = 0.0
@@ -89,8 +95,9 @@ class UpdatePool:
         began = time.monotonic()
         free: SimpleQueue[UpdateExecutor] = SimpleQueue()
         small = max(_bytes(request.batch) for request in updates) <= LARGEST
-        executors = [run_inline, *(worker for worker in self.workers if small and worker.ready)]
-        for executor in [*executors, *[run_inline] * self._most][: self._most]:
+        ready = [worker for worker in self.workers if small and worker.ready]
+        here = min(self._most_here, max(1, self._most - len(ready)))
+        for executor in [*[run_inline] * here, *ready][: self._most]:
             free.put(executor)
 
         def make(request: UpdateRequest) -> Found:

@@ -107,11 +107,12 @@ def test_an_assistant_that_died_is_missed_by_nobody(worker):
     assert not worker.ready
 
 
-def test_of_two_that_learn_one_goes_to_the_assistant(monkeypatch):
+@pytest.mark.parametrize("one_here", [False, True])
+def test_of_two_that_learn_one_goes_to_the_assistant(one_here, monkeypatch):
     monkeypatch.setattr(update_pool, "cores", lambda: 2)
     monkeypatch.setattr(update_pool, "PATIENCE", 0.0)
     mine, theirs = learners(), learners()
-    comm, spec = UpdatePool(mine), []
+    comm, spec = UpdatePool(mine, one_here), []
     update = HappoLearner.learn
     monkeypatch.setattr(HappoLearner, "learn", lambda learner, batch: spec.append(learner) or update(learner, batch))
     for seed in range(3):
@@ -133,6 +134,24 @@ def test_without_an_assistant_two_learn_at_the_same_time_all_the_same(monkeypatc
     monkeypatch.setattr(HappoLearner, "learn", lambda learner, batch: (meeting.wait(WAIT), update(learner, batch))[1])
     found = UpdatePool(both)([UpdateRequest(learner, make_batch(learner, 1)) for learner in both])
     assert [isinstance(figures, dict) and figures["critic_grad_norm"] > 0 for figures in found] == [True, True]
+
+
+def test_a_process_makes_one_update_at_a_time_where_that_is_asked(monkeypatch):
+    monkeypatch.setattr(update_pool, "cores", lambda: 2)
+    both, under_way, most = learners(), [], []
+    update = HappoLearner.learn
+
+    def learn(learner, batch):
+        under_way.append(learner)
+        time.sleep(0.2)  # in which another thread would begin
+        most.append(len(under_way))
+        under_way.remove(learner)
+        return update(learner, batch)
+
+    monkeypatch.setattr(HappoLearner, "learn", learn)
+    found = UpdatePool(both, one_here=True)([UpdateRequest(learner, make_batch(learner, 1)) for learner in both])
+    assert [isinstance(figures, dict) for figures in found] == [True, True]
+    assert most == [1, 1]
 
 
 def test_nobody_is_called_for_short_runs_nor_to_compile_once_more_nor_for_large_batches(monkeypatch):
