@@ -91,7 +91,7 @@ if __name__ == "__main__":
     assert ran(trap) == ""
 
 
-def test_an_assistant_runs_the_installed_code(trap, monkeypatch):
+def test_an_update_worker_runs_the_installed_code(trap, monkeypatch):
     monkeypatch.chdir(trap)
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
     monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder not in ("", str(trap))])

@@ -70,7 +70,7 @@ def lasting() -> Iterator[UpdateWorker]:
 
 
 @pytest.mark.parametrize("variant", [pytest.param(v, id=k, marks=when(k)) for k, v in EVERY_UPDATE.items()])
-def test_an_assistant_s_update_is_this_process_s_to_the_last_byte(variant, lasting):
+def test_an_update_worker_makes_what_this_process_makes_to_the_last_byte(variant, lasting):
     mine, theirs = (learners(1, **variant)[0] for _ in range(2))
     before = mine.save()
     for seed, rests in enumerate((False, True, False)):
@@ -80,7 +80,7 @@ def test_an_assistant_s_update_is_this_process_s_to_the_last_byte(variant, lasti
     assert any(not np.array_equal(x, before[name]) for name, x in mine.save().items() if name.startswith("actor"))
 
 
-def test_one_assistant_serves_learners_of_several_shapes_and_settings_that_have_moved(lasting):
+def test_one_worker_serves_learners_of_several_shapes_and_settings_that_have_moved(lasting):
     of_two = [HappoLearner([4, 3], [2, 1], BASE, 5) for _ in range(2)]
     for lr in (0.01, 0.03):
         for pair in (of_two, learners(1, lr=lr) + learners(1, lr=lr)):
@@ -89,7 +89,7 @@ def test_one_assistant_serves_learners_of_several_shapes_and_settings_that_have_
             assert_same(*pair)
 
 
-def test_who_diverges_with_an_assistant_is_told_so_and_stays_as_it_was(lasting):
+def test_who_diverges_in_a_worker_is_told_so_and_stays_as_it_was(lasting):
     (learner,) = learners(1)
     before, batch = learner.save(), make_batch(learner, 3)
     found = lasting(UpdateRequest(learner, batch._replace(rewards=batch.rewards.fill_(float("nan")))))
@@ -98,7 +98,7 @@ def test_who_diverges_with_an_assistant_is_told_so_and_stays_as_it_was(lasting):
     assert all(np.array_equal(x, before[name]) for name, x in learner.save().items())
 
 
-def test_an_assistant_that_died_is_missed_by_nobody(worker):
+def test_a_worker_that_died_costs_no_update(worker):
     mine, theirs = (learners(1)[0] for _ in range(2))
     os.kill(worker.pid, signal.SIGKILL)
     batch = make_batch(mine, 1)
@@ -108,7 +108,7 @@ def test_an_assistant_that_died_is_missed_by_nobody(worker):
 
 
 @pytest.mark.parametrize("one_here", [False, True])
-def test_of_two_that_learn_one_goes_to_the_assistant(one_here, monkeypatch):
+def test_of_two_that_learn_one_goes_to_the_worker(one_here, monkeypatch):
     monkeypatch.setattr(update_pool, "cores", lambda: 2)
     monkeypatch.setattr(update_pool, "PATIENCE", 0.0)
     mine, theirs = learners(), learners()
@@ -127,7 +127,7 @@ def test_of_two_that_learn_one_goes_to_the_assistant(one_here, monkeypatch):
         until(lambda worker=worker: worker.ready)
 
 
-def test_without_an_assistant_two_learn_at_the_same_time_all_the_same(monkeypatch):
+def test_without_a_worker_two_learn_at_the_same_time(monkeypatch):
     monkeypatch.setattr(update_pool, "cores", lambda: 2)
     both, meeting = learners(), threading.Barrier(2)
     update = HappoLearner.learn
@@ -167,7 +167,7 @@ def test_nobody_is_called_for_short_runs_nor_to_compile_once_more_nor_for_large_
         assert comm.workers == []
 
 
-def test_an_assistant_ends_with_the_process_that_it_serves_however_that_ends():
+def test_a_worker_ends_with_the_process_that_it_serves_however_that_ends():
     script = "import time; from league.training.update_pool import UpdateWorker; a = UpdateWorker()"
     script += "; print(a.pid, flush=True); time.sleep(600)"
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as served:
