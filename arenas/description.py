@@ -52,6 +52,10 @@ def first_numbers(parts: Iterable[Part]) -> dict[Place, int]:
     return found
 
 
+EVENT_METRIC = "event."
+"""What precedes an event's name in the name of its learning curve: the share of episodes in which it happened."""
+
+
 @dataclass(frozen=True)
 class Legend:
     """Description of a game's verdicts, by the names that the verdict uses. An empty legend describes nothing.

@@ -10,10 +10,13 @@ from jax import Array
 
 from agents.rollout.rollout import Trajectory
 from agents.rollout.team_view import select_agents, take_worlds
+from arenas.description import EVENT_METRIC
 from arenas.physics.void_causes import METRIC_PREFIX, Cause
 from arenas.state import mean_pairwise_score
 
 ALL = slice(None)
+COUNTS = "episodes", "voids", "own_voids"
+EPISODE, DECISION = ("score", "length"), ("reward", "shaping")  # means over episodes, and over decisions
 
 
 def rollout_metrics(
@@ -24,24 +27,27 @@ def rollout_metrics(
 ) -> dict[str, float]:
     """Return metrics of a team in its `worlds` for its learning curve, all finite.
 
-    `reward` and `shaping` are means per decision that was not void. `episodes` counts those that ended by the rules;
-    their mean `score`, against all other teams, and `length` in decisions are present only if there is one. `voids`
-    counts void decisions, `own_voids` those that the team's own robots caused, and `void.pairs` and the like those of
-    each cause that occurred (arenas.physics.void_causes). If the worlds are split over processes, `sum_over_ranks` sums
-    a list of numbers over them.
+    `reward` and `shaping`, and each of several terms of either (`reward.result`), are means per decision that was not
+    void. `episodes` counts those that ended by the rules; their mean `score`, against all other teams, their `length`
+    in decisions and the share of them in which an event happened to the team (`event.goal`) are present only if there
+    is one. `voids` counts void decisions, `own_voids` those that the team's own robots caused, and `void.pairs` and the
+    like those of each cause that occurred (arenas.physics.void_causes). If the worlds are split over processes,
+    `sum_over_ranks` sums a list of numbers over them.
     """
     length, number = trajectory.void.shape
     chosen = np.arange(number)[worlds]
-    size, episodes, voids, own_voids, *sums = sum_over_ranks(
-        [length * chosen.size, *np.asarray(_sums(select_agents(trajectory), index, chosen)).tolist()]
-    )
-    decisions = max(size - voids, 1)
+    told = select_agents(trajectory)._replace(terms=trajectory.terms, events=trajectory.events)
+    terms, events = sorted(told.terms), [f"{EVENT_METRIC}{name}" for name in sorted(told.events)]
+    names = *COUNTS, *EPISODE, *DECISION, *Cause, *terms, *events
+    size, *found = sum_over_ranks([length * chosen.size, *np.asarray(_sums(told, index, chosen)).tolist()])
+    sums = dict(zip(names, found, strict=True))
+    episodes, decisions = sums["episodes"], max(size - sums["voids"], 1)
     figures = {
-        "episodes": episodes, "voids": voids, "own_voids": own_voids,
-        "reward": sums[2] / decisions, "shaping": sums[3] / decisions,
-        **{f"{METRIC_PREFIX}{cause.key}": n for cause, n in zip(Cause, sums[4:], strict=True) if n},
-    }  # fmt: skip
-    return {**figures, "score": sums[0] / episodes, "length": sums[1] / episodes} if episodes else figures
+        **{name: sums[name] for name in COUNTS},
+        **{name: sums[name] / decisions for name in (*DECISION, *terms)},
+        **{f"{METRIC_PREFIX}{cause.key}": sums[cause] for cause in Cause if sums[cause]},
+    }
+    return figures | {name: sums[name] / episodes for name in (*EPISODE, *events) if episodes}
 
 
 def episode_results(
@@ -61,10 +67,10 @@ def episode_results(
 
 @partial(jax.jit, static_argnums=1)
 def _sums(trajectory: Trajectory, index: int, worlds: Array) -> Array:
-    """Return (13,) counts and sums of a team in its worlds.
+    """Return (13 + terms + events,) counts and sums of a team in its worlds.
 
     Episodes, void decisions, own void decisions; sums of score and length over episodes, of reward and dense reward;
-    void decisions by cause.
+    void decisions by cause; sums of each term of the rewards; episodes in which each event happened.
     """
     own = take_worlds(trajectory, worlds)
     whole = (own.terminated | own.truncated) & ~own.cut
@@ -79,6 +85,8 @@ def _sums(trajectory: Trajectory, index: int, worlds: Array) -> Array:
         whole.sum(), own.void.sum(), (own.void & own.at_fault[..., index]).sum(), total(score, whole),
         total(own.age, whole), total(reward, ~own.void), total(shaping, ~own.void),
         *((own.void & (why & int(cause) != 0)).sum() for cause in Cause),
+        *(total(own.terms[name][..., index], ~own.void) for name in sorted(own.terms)),
+        *((own.events[name][..., index] & whole).sum() for name in sorted(own.events)),
     ])  # fmt: skip
 
 

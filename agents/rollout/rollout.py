@@ -15,7 +15,7 @@ from jax import Array
 from agents.policy.jax_policy import Decision, PolicyStack, decide, memory_size
 from arenas.arena import Arena
 from arenas.robots.robot import Script
-from arenas.state import Frames, State
+from arenas.state import Frames, State, Verdict
 
 CUT_SEED = 0x7FFFFFFF  # folded into the key that also places the robots; an arena may use the small numbers
 
@@ -32,6 +32,7 @@ class Worlds(NamedTuple):
     age: Array  # (N,) int32: decisions taken in the current episode
     left: Array  # (N,) int32: decisions until the first episode of a new world is cut; 0: it is not cut
     memory: Memory | None = None  # hidden states in the current episode, see `with_memory`
+    events: Events = {}  # noqa: RUF012  (it has happened to the team in the current episode)
 
 
 class Trajectory(NamedTuple):
@@ -56,6 +57,8 @@ class Trajectory(NamedTuple):
     whole: tuple[Array, ...] = ()
     memories: Memory | None = None  # (T / chunk, N, units) before the first decision of each chunk, if requested
     causes: Array | None = None  # (T, N) uint8, bits of `void_causes.Cause`; None where not recorded
+    terms: dict[str, Array] = {}  # noqa: RUF012  ((T, N, teams) parts of `reward` and `shaping`: `reward.result`, ...)
+    events: dict[str, Array] = {}  # noqa: RUF012  ((T, N, teams) bool: it has happened in the episode so far)
 
 
 class CriticObservations(NamedTuple):
@@ -117,6 +120,7 @@ def make_rollout(
             )
             after = jax.vmap(arena.step)(state, {agent: each.actions for agent, each in decisions.items()})
             verdict, age = after.verdict, worlds.age + 1
+            events = jax.tree.map(jnp.logical_or, worlds.events, verdict.events)
             cut = (worlds.left == 1) & ~after.done
             over = after.done | cut
             step = Trajectory(
@@ -125,11 +129,12 @@ def make_rollout(
                 {agent: each.log_probs for agent, each in decisions.items()},
                 by_agent(state.alive), by_agent(after.alive), verdict.reward, verdict.shaping, verdict.score,
                 verdict.terminated, verdict.truncated | cut, after.void, after.at_fault, cut, age,
-                (whole(state), whole(after)) if privileged else (), causes=after.causes,
+                (whole(state), whole(after)) if privileged else (), causes=after.causes, terms=_terms(verdict),
+                events=events,
             )  # fmt: skip
             fresh = jax.vmap(arena.restart)(after, jax.random.split(place_key, number), over)
             left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))
-            return Worlds(fresh, jnp.where(over, 0, age), left, memory), step
+            return Worlds(fresh, jnp.where(over, 0, age), left, memory, _unless(over, events)), step
 
         def stretch(worlds: Worlds, moments: tuple[Array, Array]) -> tuple[Worlds, tuple[Memory | None, Trajectory]]:
             after, steps = jax.lax.scan(decision, worlds, moments)
@@ -155,7 +160,9 @@ def make_reset(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
 
     def reset(keys: Array) -> Worlds:
         left = _cuts(arena, keys) if stagger else jnp.zeros(keys.shape[0], jnp.int32)
-        return Worlds(jax.vmap(arena.reset)(keys), jnp.zeros(keys.shape[0], jnp.int32), left)
+        state = jax.vmap(arena.reset)(keys)
+        nothing = jax.tree.map(jnp.zeros_like, state.verdict.events)
+        return Worlds(state, jnp.zeros(keys.shape[0], jnp.int32), left, events=nothing)
 
     return _compiled(reset)
 
@@ -170,9 +177,23 @@ def make_restart(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
     def restart(worlds: Worlds, keys: Array, where: Array) -> Worlds:
         state = jax.vmap(arena.restart)(worlds.state, keys, where)
         left = _cuts(arena, keys) if stagger else jnp.zeros_like(worlds.left)
-        return Worlds(state, jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left), worlds.memory)
+        age, left = jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left)
+        return Worlds(state, age, left, worlds.memory, _unless(where, worlds.events))
 
     return _compiled(restart, donate_argnums=0)
+
+
+def _terms(verdict: Verdict) -> dict[str, Array]:
+    """Return the terms of reward and of dense reward by their curves' names; one that has no other beside it is left
+    out, because it is the whole.
+    """
+    kinds = (("reward", verdict.rewards), ("shaping", verdict.shapings))
+    return {f"{kind}.{name}": x for kind, terms in kinds if len(terms) > 1 for name, x in terms.items()}
+
+
+def _unless(over: Array, events: Events) -> Events:
+    """Return the events of episodes that go on; where the episode is `over` (N,) bool nothing has happened yet."""
+    return jax.tree.map(lambda happened: happened & ~over[:, None], events)
 
 
 def with_memory(worlds: Worlds, stacks: Mapping[str, PolicyStack]) -> Worlds:

@@ -14,7 +14,8 @@ ALL = slice(None)
 def select_agents(trajectory: Trajectory, agents: Collection[str] = (), whole: bool = False) -> Trajectory:
     """Return the trajectory with the observations and actions of these agents only, and the full state only on request.
 
-    Each array that is passed to a program takes time, and is copied where some of the worlds are selected.
+    Terms of rewards and events, from which nobody learns, are left out. Each array that is passed to a program takes
+    time, and is copied where some of the worlds are selected.
     """
 
     def own(values: Mapping[str, Array]) -> dict[str, Array]:
@@ -24,7 +25,7 @@ def select_agents(trajectory: Trajectory, agents: Collection[str] = (), whole: b
         observations=own(trajectory.observations), next_observations=own(trajectory.next_observations),
         actions=own(trajectory.actions), log_probs=own(trajectory.log_probs), alive=own(trajectory.alive),
         next_alive=own(trajectory.next_alive), whole=trajectory.whole if whole else (),
-        memories=own(trajectory.memories or {}),
+        memories=own(trajectory.memories or {}), terms={}, events={},
     )  # fmt: skip
 
 

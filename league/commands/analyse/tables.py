@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 from dashboards.tables import Column, Format, render
 from dashboards.text import wrapped
 from league.commands.options import Listing, parse
+from league.config.schema import ConfigError
 from league.queries.columns import CURVES, NEWEST, PURPOSE, SNAPSHOTS, match_columns, result_text
 from league.queries.query import MATCH_COLUMNS, curve_rows, match_rows, snapshot_rows
 from league.queries.ratings.rating_rows import Row, when
 from league.system.provenance import LINE
 from storage.database.urls import without_passwords
+
+POINT = "player", "iteration", "steps"  # what every row of learning curves begins with
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,9 @@ class CurveOptions(LogOptions):
 
     player: str | None = None
     """Only this player's points (none: all players')."""
+    metrics: tuple[str, ...] = ()
+    """Print these metrics alone, such as event.goal,reward.result (none: the most important ones, and all of them as
+    json and csv)."""
 
 
 def matches(args: list[str]) -> int:
@@ -71,14 +77,29 @@ def curves(args: list[str]) -> int:
     rows = curve_rows(
         sorted(points, key=lambda p: (p.iteration, p.player))
     )  # of several players, the newest row of each
+    columns = list(CURVES)
+    if options.metrics and rows:
+        rows, columns = _only(options.metrics, rows)
+    elif options.format == "table":
+        rows = [{**row, "void": _void(row)} for row in rows]
     known = {key for row in rows for key in row}
-    if options.format == "table":
-        rows, known = [{**row, "void": _void(row)} for row in rows], {*known, "void"}
     shown = [
-        c for c in CURVES if not known or (c if isinstance(c, str) else c.key) in known
+        c for c in columns if not known or (c if isinstance(c, str) else c.key) in known
     ]  # no player has learnt yet
     print(_newest(rows, shown, options, args, "curves", len(rows)))
     return 0
+
+
+def _only(metrics: Sequence[str], rows: Sequence[Row]) -> tuple[list[Row], list[Column | str]]:
+    """Return rows with these metrics alone, and their columns. Raises ConfigError for one that no row has."""
+    recorded = {key for row in rows for key in row} - {*POINT}
+    if unknown := [name for name in metrics if name not in recorded]:
+        raise ConfigError(
+            ("metrics",), f"nobody recorded {', '.join(unknown)}; there are {', '.join(sorted(recorded))}"
+        )
+    kept = (*POINT, *metrics)
+    columns = [*CURVES[: len(POINT)], *(Column(name, decimals=4) for name in metrics)]
+    return [{key: row.get(key) for key in kept} for row in rows], columns
 
 
 def _void(row: Row) -> float | None:

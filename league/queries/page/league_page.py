@@ -16,7 +16,7 @@ from league.config.schema import ConfigError
 from league.queries.columns import CURVES, NEWEST, PLAYERS, WORKERS
 from league.queries.league_status import LeagueStatus, gather_status
 from league.queries.opponents import explain_opponents, mark_present, opponent_columns, team_named
-from league.queries.page.learning_curves import DRAWN, SPEED, LearningCurves
+from league.queries.page.learning_curves import SPEED, LearningCurves
 from league.queries.page.match_tables import newest_matches, pair_table, played
 from league.queries.page.overview import Facts, overview
 from league.queries.query import Open, Shown, snapshot_rows
@@ -228,7 +228,7 @@ def _curves(curves: LearningCurves, names: Sequence[str]) -> Iterator[str | Figu
         yield "Nobody has learnt yet."
         return
     known = {"player", "iteration", "steps", "seconds", *curves.metrics}
-    for key, title in DRAWN.items():
+    for key, title in curves.drawn.items():
         if key in known:
             caption = f"{title.capitalize()} over the training steps of each player."
             yield FigureBlock(figures.curves(curves.lines(key), title, players=names), caption + _means(curves.longest))

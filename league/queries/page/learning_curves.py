@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from arenas.description import EVENT_METRIC
 from dashboards.web.figures import Line
 from league.queries.columns import NEWEST
 from league.queries.query import Open, curve_rows
@@ -16,7 +17,7 @@ DRAWN = {
     "score": "score in training", "reward": "reward per step", "length": "steps per episode", "entropy": "entropy",
     "explained_variance": "explained variance of the critic",
 }  # fmt: skip
-"""Metrics of learning that are plotted if they were recorded."""
+"""Metrics of learning that are plotted if they were recorded, before the arena's events."""
 SPEED = "steps_per_second"
 
 
@@ -26,12 +27,17 @@ class LearningCurves:
 
     columns: Mapping[str, CurveColumns]  # by player
     newest: Sequence[Row]  # of all players, by (iteration, player), at most NEWEST
+    drawn: Mapping[str, str]  # what is plotted if it was recorded: metric -> title
 
     @classmethod
     def of(cls, opened: Open) -> "LearningCurves":
         """Read the curves of a league."""
-        columns = opened.store.curve_columns(opened.league, (*DRAWN, SPEED))
-        return cls(columns, curve_rows(opened.store.newest_curves(opened.league, NEWEST)))
+        newest = curve_rows(opened.store.newest_curves(opened.league, NEWEST))
+        drawn = DRAWN | {
+            name: f"share of episodes with {name.removeprefix(EVENT_METRIC)}"
+            for name in sorted({name for row in newest for name in row if name.startswith(EVENT_METRIC)})
+        }
+        return cls(opened.store.curve_columns(opened.league, (*drawn, SPEED)), newest, drawn)
 
     @property
     def total(self) -> int:

@@ -9,13 +9,14 @@ import pytest
 import torch
 
 from agents.learner.happo import HappoLearner
-from agents.policy.jax_policy import policy_params, stack_policies
+from agents.policy.jax_policy import PolicyStack, policy_params, stack_policies
 from agents.policy.networks import Actor
-from agents.rollout.rollout import PlayedEpisodes, Trajectory, make_play, make_reset, scripts_for
+from agents.rollout.rollout import PlayedEpisodes, Trajectory, Worlds, make_play, make_reset, scripts_for
 from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
 
 EACH = 6  # worlds in a group
+FALLEN = slice(None, None, 2)  # worlds in which, as it is told to them, both robots fell before the first decision
 ARCHITECTURE = Architecture((8,), "elu")
 
 
@@ -36,12 +37,30 @@ SEATS = {"blue/0": ["a", "idle", "random", "b", "random"], "red/0": ["pusher", "
 
 
 @pytest.fixture(scope="module")
-def trajectory(short_sumo: Arena, short_rollout, policy) -> Trajectory:
-    worlds = make_reset(short_sumo)(jax.random.split(jax.random.key(0), 5 * EACH))
+def stacks(policy) -> dict[str, PolicyStack]:
     also = [policy("wide")]  # blue has no such policy: with a place for it both are shaped alike
-    stacks = {agent: stack_policies([policy(who) for who in seats], also) for agent, seats in SEATS.items()}
-    _, trajectory = short_rollout(stacks, worlds, jax.random.key(1))
-    return jax.device_get(trajectory)
+    return {agent: stack_policies([policy(who) for who in seats], also) for agent, seats in SEATS.items()}
+
+
+@pytest.fixture(scope="module")
+def rollout(short_sumo: Arena, short_rollout, stacks) -> tuple[Worlds, Trajectory]:
+    worlds = make_reset(short_sumo)(jax.random.split(jax.random.key(0), 5 * EACH))
+    fallen = worlds.events["fall"].at[FALLEN].set(True)
+    return jax.device_get(
+        short_rollout(stacks, worlds._replace(events=worlds.events | {"fall": fallen}), jax.random.key(1))
+    )
+
+
+@pytest.fixture(scope="module")
+def trajectory(rollout) -> Trajectory:
+    return rollout[1]
+
+
+@pytest.fixture(scope="module")
+def played_on(rollout, short_rollout, stacks) -> tuple[Worlds, Trajectory]:
+    """The worlds after the trajectory, and the trajectory that follows."""
+    worlds = rollout[0]
+    return worlds, jax.device_get(short_rollout(stacks, jax.tree.map(jnp.array, worlds), jax.random.key(2))[1])
 
 
 def acting(trajectory: Trajectory, who: str):
@@ -51,6 +70,28 @@ def acting(trajectory: Trajectory, who: str):
             k = seats.index(who)
             fields = (trajectory.observations, trajectory.actions, trajectory.log_probs)
             yield tuple(field[agent][:, k * EACH : (k + 1) * EACH] for field in fields)
+
+
+def test_terms_sum_to_their_rewards(trajectory):
+    assert {name.partition(".")[0] for name in trajectory.terms} == {"reward"}  # one dense term is the whole
+    rewards = sum(values.astype(float) for values in trajectory.terms.values())
+    np.testing.assert_allclose(rewards, trajectory.reward, rtol=1e-5, atol=1e-6)
+    assert rewards.any()
+
+
+def test_an_event_has_happened_until_its_episode_ends(trajectory, played_on):
+    over = (trajectory.terminated | trajectory.truncated | trajectory.void)[..., None]
+    first = np.cumsum(over, axis=0) - over == 0  # (T, N, 1): the episode under way at the start
+    fallen = np.zeros_like(over)
+    fallen[:, FALLEN] = True
+    np.testing.assert_array_equal(trajectory.events["fall"], np.repeat(first & fallen, 2, axis=2))  # rovers do not fall
+    np.testing.assert_array_equal(
+        trajectory.events["out"].any(2), (trajectory.terminated & (trajectory.score < 1).any(2))
+    )
+    worlds, later = played_on
+    for name, happened in trajectory.events.items():
+        np.testing.assert_array_equal(worlds.events[name], happened[-1] & ~over[-1])
+        assert later.events[name][0][worlds.events[name]].all()
 
 
 def test_next_observations_are_the_following_ones_until_an_episode_ends(trajectory):

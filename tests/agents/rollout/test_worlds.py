@@ -167,6 +167,21 @@ def test_void_decisions_are_counted_by_cause():
     )  # none is void there
 
 
+def test_terms_are_means_over_decisions_and_events_shares_of_episodes():
+    """Team 0 scores in the episode that ends, and in the cut one; team 1 touches the ball in both that count."""
+    forward, ball = np.full((4, 3, 2), 0.2), np.full((4, 3, 2), 0.05)
+    forward[2, 1] = np.nan  # void
+    goal, touch = np.zeros((4, 3, 2), bool), np.zeros((4, 3, 2), bool)
+    goal[1, 0, 0] = goal[3, 0, 0] = touch[0, 1, 1] = touch[2:, 0, 1] = True
+    told = by_hand()._replace(
+        terms={"shaping.forward": forward, "shaping.ball": ball}, events={"goal": goal, "touch": touch}
+    )
+    for team, events in ((0, {"event.goal": 0.5, "event.touch": 0.0}), (1, {"event.goal": 0.0, "event.touch": 1.0})):
+        figures = rollout_metrics(told, team, slice(0, 2))
+        terms = {"shaping.forward": pytest.approx(0.2), "shaping.ball": pytest.approx(0.05)}
+        assert figures == rollout_metrics(by_hand(), team, slice(0, 2)) | terms | events
+
+
 def test_where_no_episode_ended_there_is_no_score():
     figures = rollout_metrics(by_hand()._replace(terminated=np.zeros((4, 3), bool)), 0, slice(0, 1))
     assert figures == {"episodes": 0, "voids": 0, "own_voids": 0, "reward": 0.25, "shaping": 0.25}

@@ -13,6 +13,7 @@ from league.commands.analyse import tables
 from league.commands.analyse.ratings import ratings
 from league.commands.ladder_text import ratings_table
 from league.config import presets
+from league.config.schema import ConfigError
 from league.queries import query
 from league.queries.query import Open, choose
 from league.queries.ratings.rating_rows import rating_rows, side_score
@@ -340,6 +341,23 @@ def test_curves_come_out_as_they_went_in(printed):
     assert "kl" in printed(tables.curves, "--format", "csv").splitlines()[0].split(",")
     with pytest.raises(StorageError, match=r"no player 'rde' here; there is: blue, red. Did you mean 'red'"):
         printed(tables.curves, "--player", "rde")
+
+
+def test_curves_show_the_metrics_that_are_asked_for(printed):
+    """A metric may be missing in some iterations, as events are where no episode ended."""
+    events = {"event.goal": 0.25}, {}, {"event.goal": 0.0}
+    points = [CurvePoint("cup", "blue", i, 10 * i, i / 8, {"kl": i / 3, **own}) for i, own in enumerate(events, 1)]
+    given = ("--metrics", "event.goal,kl")
+    text = printed(tables.curves, *given, points=points)
+    assert [line.split() for line in text.splitlines() if "blue" in line] == [
+        ["blue", "1", "10", "0.2500", "0.3333"],
+        ["blue", "2", "20", "–", "0.6667"],
+        ["blue", "3", "30", "0.0000", "1.0000"],
+    ]
+    rows = json.loads(printed(tables.curves, *given, "--format", "json"))
+    assert rows[1] == {"player": "blue", "iteration": 2, "steps": 20, "event.goal": None, "kl": 2 / 3}
+    with pytest.raises(ConfigError, match=r"nobody recorded goal; there are event\.goal, kl, seconds"):
+        printed(tables.curves, "--metrics", "goal")
 
 
 def test_curves_are_a_data_frame_with_every_figure(tmp_path):

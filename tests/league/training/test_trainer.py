@@ -15,7 +15,7 @@ from league.state.league_state import LeagueState
 from league.training.setback import PlayerDiverged
 from league.training.trainer import Trainer
 from league.training.training_recorder import TrainingRecorder
-from league.training.update_pool import run_inline
+from league.training.update_pool import UpdatePool, run_inline
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.blobs import arrays
@@ -44,12 +44,10 @@ def puck_store(tmp_path, pucks):
 
 @pytest.mark.parametrize("kind", ["simultaneous", "leapfrog"])  # in leapfrog the critic of who rests learns beside
 def test_that_players_learn_at_the_same_time_changes_no_byte(duel_store, duel, tmp_path, monkeypatch, kind):
-    config = settings(Schedule(kind, period=1), device="cpu")
+    config, pool = settings(Schedule(kind, period=1), device="cpu"), "league.training.learner_pool.UpdatePool"
+    monkeypatch.setattr(pool, lambda learners, one_here: UpdatePool(learners))  # as in a league that need not repeat
     turns(duel_store, config, duel, 2)
-    monkeypatch.setattr(
-        "league.training.learner_pool.UpdatePool",
-        lambda learners: lambda updates: [run_inline(study) for study in updates],
-    )
+    monkeypatch.setattr(pool, lambda learners, one_here: lambda updates: [run_inline(update) for update in updates])
     with new_store(tmp_path / "other", duel) as other:
         turns(other, config, duel, 2)
         assert ends(other) == ends(duel_store)
@@ -126,7 +124,7 @@ def test_every_iteration_leaves_a_point_of_the_learning_curve(duel_store, duel):
     points = duel_store.curves(LEAGUE, "blue")
     assert [p.iteration for p in points] == [1, 2, 3, 4]
     wanted = {"entropy", "ratio", "policy_loss", "value_loss", "explained_variance", "steps_per_second", "past_share"}
-    assert wanted <= set(points[0].values)
+    assert wanted | {"event.out", "event.fall"} <= set().union(*(p.values for p in points))
     assert points[-1].step == duel_store.checkpoint(LEAGUE, "blue").step
 
 

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import pytest
 
+from dashboards.web.document import FigureBlock
 from dashboards.web.figures import POINTS, curves
 from league.queries.columns import NEWEST
 from league.queries.opponents import explain_opponents
+from league.queries.page.league_page import sections
 from league.queries.page.learning_curves import DRAWN, SPEED, LearningCurves
 from league.queries.query import Open, curve_rows
 from league.state.league_state import LeagueState
@@ -15,6 +17,8 @@ from matchmaking.opponents import Opponents
 from storage.errors import StorageError
 from storage.records import CurvePoint
 from tests.league.leagues import BLUE, RED, filled, finish, games, snapshot
+
+METRICS = (*DRAWN, SPEED, "event.goal")
 
 
 @pytest.fixture
@@ -25,13 +29,13 @@ def store(tmp_path):
         found = []
         for name, count in (("blue", 1234), ("red", 5)):
             for i in range(1, count + 1):
-                values = {key: rng.random() for key in (*DRAWN, SPEED, "loss") if key != "entropy" or i % 3}
+                values = {key: rng.random() for key in (*METRICS, "loss") if key != "entropy" or i % 3}
                 found.append(CurvePoint("cup", name, i, 10 * i, i / 7, {"reward": 1.0} if i == 4 else values))
         finish(store, curves=found)
         yield store
 
 
-@pytest.mark.parametrize("metric", [*DRAWN, SPEED])
+@pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("over", ["steps", "seconds"])
 def test_columns_give_the_lines_that_rows_give(store, metric, over):
     opened = Open(store)
@@ -56,7 +60,14 @@ def test_the_newest_rows_and_the_numbers_of_iterations_are_those_of_all_rows(sto
     rows = curve_rows(sorted(opened.points(), key=lambda p: (p.iteration, p.player)))
     assert found.newest == rows[-NEWEST:]
     assert (found.total, found.longest) == (1239, 1234)
-    assert found.metrics == {*DRAWN, SPEED, "loss"}
+    assert found.metrics == {*METRICS, "loss"}
+
+
+def test_events_are_plotted_beside_the_metrics_that_all_arenas_have(store):
+    (section,) = (s for s in sections(Open(store)) if s.id == "curves")
+    captions = [part.caption for part in section.parts if isinstance(part, FigureBlock)]
+    assert len(captions) == len(DRAWN) + 1
+    assert captions[-1].startswith("Share of episodes with goal over the training steps of each player.")
 
 
 def test_a_damaged_curve_is_told(store):
