@@ -133,7 +133,8 @@ class NextStage:
             return
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):  # it has ended already, which is told later
-            self.process.stdin.write(json.dumps({"config": configuration.dumps(stage), "cores": spare}) + "\n")
+            request = {"config": configuration.dumps(stage), "cores": spare, "nice": NICE}
+            self.process.stdin.write(json.dumps(request) + "\n")
             self.process.stdin.flush()
 
     def _tell_failure(self) -> None:
@@ -212,7 +213,7 @@ def main() -> int:
     stdin = io.FileIO(0, closefd=False)
     request = json.loads(stdin.readline())
     threading.Thread(target=_end_with, args=(stdin,), daemon=True).start()
-    _give_way(request["cores"])
+    _give_way(request["cores"], request["nice"])
     environment.prepare()
     config = configuration.loads(request["config"], "settings")
     if config.training.devices == 1:
@@ -228,13 +229,13 @@ def main() -> int:
     return exit_codes.DONE
 
 
-def _give_way(most: int) -> None:
-    """Lower the priority of this process, and use so many cores."""
-    os.nice(NICE)
+def _give_way(most: int, nice: int) -> None:
+    """Lower the priority of this process by `nice`, and use so many cores."""
+    os.nice(nice)
     with suppress(
         OSError
     ):  # Linux shares cores among sessions before niceness counts, and this one is its own (sched(7))
-        AUTOGROUP.write_text(str(NICE))
+        AUTOGROUP.write_text(str(nice))
     if hasattr(os, "sched_setaffinity"):  # libraries make as many threads
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-most:])
 
