@@ -34,7 +34,7 @@ class LearningCurves:
         """Read the curves of a league."""
         newest = curve_rows(opened.store.newest_curves(opened.league, NEWEST))
         drawn = DRAWN | {
-            name: f"share of episodes with {name.removeprefix(EVENT_METRIC)}"
+            name: f"share of episodes with “{name.removeprefix(EVENT_METRIC)}”"
             for name in sorted({name for row in newest for name in row if name.startswith(EVENT_METRIC)})
         }
         return cls(opened.store.curve_columns(opened.league, (*drawn, SPEED)), newest, drawn)

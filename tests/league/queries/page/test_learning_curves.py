@@ -67,7 +67,7 @@ def test_events_are_plotted_beside_the_metrics_that_all_arenas_have(store):
     (section,) = (s for s in sections(Open(store)) if s.id == "curves")
     captions = [part.caption for part in section.parts if isinstance(part, FigureBlock)]
     assert len(captions) == len(DRAWN) + 1
-    assert captions[-1].startswith("Share of episodes with goal over the training steps of each player.")
+    assert captions[-1].startswith("Share of episodes with “goal” over the training steps of each player.")
 
 
 def test_a_damaged_curve_is_told(store):
