@@ -53,7 +53,7 @@ def first_numbers(parts: Iterable[Part]) -> dict[Place, int]:
 
 
 EVENT_METRIC = "event."
-"""What precedes an event's name in the name of its learning curve: the share of episodes in which it happened."""
+"""Prefix of an event's name in that of its learning curve, the share of episodes in which it happened."""
 
 
 @dataclass(frozen=True)
