@@ -13,7 +13,8 @@ COMMANDS = [shlex.split(line, comments=True)[1:] for block in BLOCKS for line in
 SERVES = {"dash", "watch", "doctor"}  # a window, a page, and what this machine lacks: tests of their own
 LEARNS = {"run"}
 MATCHES = {"payoff", "forgetting", "play", "gate", "exploit"}  # that need some, or play them
-SCRIPTS = {"pusher": "rock"}  # opponents of the page's arena, and those of an arena without bodies
+# Opponents and metrics of the page's arena, and those of an arena without bodies:
+WORDS = {"pusher": "rock", "score,event.out": "score,reward"}
 SHORTER = {"play": ("--episodes", "16"), "exploit": ("--budget", "8192", "--episodes", "16"), "gate": ("--most", "64")}
 
 
@@ -33,7 +34,7 @@ def test_what_only_reads_and_writes_files(copied_league, tmp_path, monkeypatch, 
     read = [command for command in COMMANDS if command[0] not in SERVES | LEARNS | MATCHES]
     assert len(read) > 6
     for command in read:
-        shown(capsys, command)
+        shown(capsys, [WORDS.get(word, word) for word in command])
     assert {"league.toml", "leagues.zip", "blue.safetensors"} <= {file.name for file in tmp_path.iterdir()}
 
 
@@ -46,4 +47,4 @@ def test_what_needs_matches_or_plays_them(rated_league, tmp_path, monkeypatch, c
     assert {command[0] for command in played} == MATCHES
     for command in played:
         kept = command[: command.index("--for")] if "--for" in command else command
-        shown(capsys, [*(SCRIPTS.get(word, word) for word in kept), *SHORTER.get(command[0], ())])
+        shown(capsys, [*(WORDS.get(word, word) for word in kept), *SHORTER.get(command[0], ())])
