@@ -92,14 +92,13 @@ def curves(args: list[str]) -> int:
 
 def _only(metrics: Sequence[str], rows: Sequence[Row]) -> tuple[list[Row], list[Column | str]]:
     """Return rows with these metrics alone, and their columns. Raises ConfigError for one that no row has."""
+    asked = [name for name in dict.fromkeys(metrics) if name not in POINT]  # which every row shows
     recorded = {key for row in rows for key in row} - {*POINT}
-    if unknown := [name for name in metrics if name not in recorded]:
-        raise ConfigError(
-            ("metrics",), f"nobody recorded {', '.join(unknown)}; there are {', '.join(sorted(recorded))}"
-        )
-    kept = (*POINT, *metrics)
-    columns = [*CURVES[: len(POINT)], *(Column(name, decimals=4) for name in metrics)]
-    return [{key: row.get(key) for key in kept} for row in rows], columns
+    if unknown := [name for name in asked if name not in recorded]:
+        there = ", ".join(sorted(recorded))
+        raise ConfigError(("metrics",), f"nobody recorded {', '.join(unknown)}; there are {there}")
+    columns = [*CURVES[: len(POINT)], *(Column(name, decimals=4) for name in asked)]
+    return [{key: row.get(key) for key in (*POINT, *asked)} for row in rows], columns
 
 
 def _void(row: Row) -> float | None:

@@ -83,6 +83,7 @@ def test_the_age_of_an_episode_counts_its_decisions(short_sumo, reset, collect):
 
 def test_a_restart_begins_chosen_worlds_anew_and_leaves_the_others_alone(short_sumo, reset, collect):
     played, _ = collect(reset(KEYS), "random")
+    played = played._replace(events={name: np.ones_like(happened) for name, happened in played.events.items()})
     where, keys = np.arange(N) % 3 == 0, jax.random.split(jax.random.key(9), N)
     fresh = jax.device_get(reset(keys))
     begun = jax.device_get(make_restart(short_sumo)(jax.tree.map(jnp.asarray, played), keys, jnp.asarray(where)))
@@ -91,6 +92,9 @@ def test_a_restart_begins_chosen_worlds_anew_and_leaves_the_others_alone(short_s
         np.testing.assert_allclose(seen[where], fresh.state.observations[agent][where], atol=1e-5)
         np.testing.assert_array_equal(seen[~where], played.state.observations[agent][~where])
     np.testing.assert_array_equal(begun.age, np.where(where, 0, played.age))
+    assert begun.events
+    for happened in begun.events.values():
+        np.testing.assert_array_equal(happened, np.stack([~where, ~where], axis=1))
     np.testing.assert_array_equal(begun.left, np.where(where, fresh.left, 0))
     np.testing.assert_array_equal(begun.state.physics.qpos[~where], played.state.physics.qpos[~where])
 

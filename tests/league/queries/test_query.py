@@ -347,7 +347,7 @@ def test_curves_show_the_metrics_that_are_asked_for(printed):
     """A metric may be missing in some iterations, as events are where no episode ended."""
     events = {"event.goal": 0.25}, {}, {"event.goal": 0.0}
     points = [CurvePoint("cup", "blue", i, 10 * i, i / 8, {"kl": i / 3, **own}) for i, own in enumerate(events, 1)]
-    given = ("--metrics", "event.goal,kl")
+    given = ("--metrics", "event.goal,kl,steps,kl")  # steps are shown anyway
     text = printed(tables.curves, *given, points=points)
     assert [line.split() for line in text.splitlines() if "blue" in line] == [
         ["blue", "1", "10", "0.2500", "0.3333"],

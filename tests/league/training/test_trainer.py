@@ -47,10 +47,14 @@ def test_that_players_learn_at_the_same_time_changes_no_byte(duel_store, duel, t
     config, pool = settings(Schedule(kind, period=1), device="cpu"), "league.training.learner_pool.UpdatePool"
     monkeypatch.setattr(pool, lambda learners, one_here: UpdatePool(learners))  # as in a league that need not repeat
     turns(duel_store, config, duel, 2)
-    monkeypatch.setattr(pool, lambda learners, one_here: lambda updates: [run_inline(update) for update in updates])
+    asked = set()  # whether a deterministic league wants one update at a time
+    monkeypatch.setattr(
+        pool, lambda learners, one_here: asked.add(one_here) or (lambda updates: [run_inline(each) for each in updates])
+    )
     with new_store(tmp_path / "other", duel) as other:
         turns(other, config, duel, 2)
         assert ends(other) == ends(duel_store)
+    assert asked == {config.deterministic} == {True}
 
 
 def test_an_episode_of_training_is_recorded_with_what_critics_made_of_it_and_changes_no_byte(
