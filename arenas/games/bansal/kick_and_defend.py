@@ -86,10 +86,12 @@ class KickAndDefend(Contest):
     def draw(self, key: Array) -> tuple[Array, Shot]:
         """Draw kicker, keeper and ball in their ranges, the ball clear of the kicker."""
         keys = jax.random.split(key, 3)
-        x = _within(keys[0], X[:, 0], X[:, 1], self.rules.spread, (2,))
-        y = _within(keys[1], *Y, self.rules.spread, (2,))
+        most, least = self.rules.spread, self.rules.least_spread
+        spread = most if least is None else jax.random.uniform(jax.random.fold_in(key, 3), minval=least, maxval=most)
+        x = _within(keys[0], X[:, 0], X[:, 1], spread, (2,))
+        y = _within(keys[1], *Y, spread, (2,))
         low, high = jnp.array([BALL_X[0], BALL_Y[0]]), jnp.array([BALL_X[1], BALL_Y[1]])
-        ball = _within(keys[2], low, high, self.rules.spread, (2,))
+        ball = _within(keys[2], low, high, spread, (2,))
         xy = jnp.stack([x, y], axis=1)
         off = ball - xy[0]
         far = jnp.maximum(jnp.sqrt(jnp.sum(off**2)), 1e-3)
@@ -170,7 +172,9 @@ class KickAndDefend(Contest):
         return self.by_team(gaps, game.second_first)[1] <= self.rules.touch
 
 
-def _within(key: Array, low: Array | float, high: Array | float, spread: float, shape: tuple[int, ...]) -> Array:
+def _within(
+    key: Array, low: Array | float, high: Array | float, spread: Array | float, shape: tuple[int, ...]
+) -> Array:  # fmt: skip
     """Draw uniformly in a share `spread` of the range, around its middle."""
     middle, half = (jnp.asarray(low) + high) / 2, (jnp.asarray(high) - low) / 2
     return middle + spread * half * jax.random.uniform(key, shape, minval=-1.0)

@@ -100,11 +100,21 @@ class KickAndDefendRules(ContestRules):
     """A keeper farther than this from its line loses, m; 2.5 is their code's, 3 the paper's."""
     spread: float = field(default=1.0, metadata={"low": 0.0, "high": 1.0})
     """Share of the full ranges in which kicker, keeper and ball start; theirs grows while they learn."""
+    least_spread: float | None = field(default=None, metadata={"low": 0.0, "high": 1.0})
+    """Each episode draws its share between this and `spread`, so that near starts stay among far ones; none: all have
+    `spread`."""
     touch: float = field(default=0.02, metadata={"low": 0.0, "high": 0.5})
     """The keeper touches the ball when they are this near at the end of a control step, m."""
     falls_lose: bool = False
     """Let who falls lose at once, for a first stage of learning: else most of a rollout is of bodies that lie on the
     ground, and nobody learns to walk."""
+
+    def __post_init__(self) -> None:
+        """Check that the least spread is not above the largest; raises ValueError."""
+        if self.least_spread is not None and self.least_spread > self.spread:
+            raise ValueError(
+                f"least_spread: {self.least_spread:g} is above spread, {self.spread:g}; lower it or raise spread"
+            )
 
 
 @dataclass(frozen=True)

@@ -94,8 +94,8 @@ def kick_and_defend() -> Config:
     }  # fmt: skip
     kick = {
         "arena": {
-            # Kicker and ball begin near the middle of the ranges of their starts.
-            "rules": {"roles": "fixed", "spread": 0.1, "box": 4.0},
+            # From the middle of the ranges of the starts, from where the walker kicks goals, to all of them.
+            "rules": {"roles": "fixed", "least_spread": 0.0, "box": 4.0},
             "reward": {"approach": -0.3, "ball": -1.0, "alive": 0.2},
         },
         "after_parts": ["*", "goal=ball"],

@@ -1,10 +1,11 @@
 """Run to goal, you shall not pass, kick and defend: who wins, what is paid, by hand on the C engine."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from arenas.games.bansal.kick_and_defend import Shot
+from arenas.games.bansal.kick_and_defend import KickAndDefend, Shot, X, Y
 from tests.arenas.games.bansal.contests import built, judged, outcome
 
 OPEN = ((0.0, 0.0, 1.3), (1.0, 0.0, 1.3))
@@ -126,3 +127,25 @@ def test_dense_terms_are_bansals_by_second(passing):
     np.testing.assert_allclose(verdict.shapings["distance"], [-0.1 * 3 * dt, 0.1 * 3 * dt], rtol=1e-5)
     np.testing.assert_allclose(verdict.shapings["alive"], [0.5 * dt, -0.5 * dt], rtol=1e-5)
     np.testing.assert_allclose(verdict.shapings["forward"], [0.0, 0.0])
+
+
+def reach(arena: KickAndDefend) -> np.ndarray:
+    """The largest distance of kicker and keeper from the middles of their ranges by episode, as a share of them."""
+    xy = np.asarray(jax.jit(jax.vmap(lambda key: arena.draw(key)[0]))(jax.random.split(jax.random.key(3), 2048)))
+    low, high = np.stack([X[:, 0], [Y[0]] * 2], 1), np.stack([X[:, 1], [Y[1]] * 2], 1)
+    return np.abs((xy - (low + high) / 2) / ((high - low) / 2)).max((1, 2))
+
+
+def test_each_episode_draws_its_share_of_the_starts():
+    wide = reach(built("kick-and-defend"))
+    graded = reach(built("kick-and-defend", least_spread=0.0))
+    assert max(wide.max(), graded.max()) <= 1.0
+    assert (wide < 0.2).mean() < 0.01 < 0.2 < (graded < 0.2).mean() < 0.32  # 0.2 ** 4 = 0.002; 0.27 by integration
+    assert (graded > 0.8).any()
+    some = reach(built("kick-and-defend", spread=0.5, least_spread=0.5))
+    np.testing.assert_allclose(some, reach(built("kick-and-defend", spread=0.5)), atol=1e-6)
+
+
+def test_a_least_spread_above_the_largest_is_refused():
+    with pytest.raises(ValueError, match=r"least_spread: 0\.5 is above spread, 0\.1"):
+        built("kick-and-defend", spread=0.1, least_spread=0.5)
