@@ -1,6 +1,6 @@
-"""Time of opponent sampling: probabilities over many policies, and the opponents of all worlds drawn by them.
+"""Time of opponent sampling: probabilities over many policies, and the opponents of all groups of worlds drawn by them.
 
-    python -m benchmarks.opponents [--policies 1000] [--worlds 4096] [--repeats 50]
+    python -m benchmarks.opponents [--policies 1000] [--groups 8] [--repeats 50]
 
 Prints median and 95th percentile in milliseconds: of the rules that read win rates, and of the mixtures of a payoff
 table for 50 and 200 snapshots, which a league solves once a turn.
@@ -33,7 +33,7 @@ def main() -> None:
     """Measure every rule and print the JSON."""
     parser = make_parser(__doc__)
     parser.add_argument("--policies", type=int, default=1000)
-    parser.add_argument("--worlds", type=int, default=4096)
+    parser.add_argument("--groups", type=int, default=8, help="of a learner's worlds")
     parser.add_argument("--repeats", type=int, default=50)
     args = parser.parse_args()
     rng = np.random.default_rng(0)
@@ -48,9 +48,10 @@ def main() -> None:
         "delta_uniform": partial(delta_uniform, n, 0.5), "pfsp": partial(pfsp, x), "gaussian": partial(gaussian, x),
         "openai_five": partial(by_quality, x), "alphastar": mixed,
     }  # fmt: skip
-    result: dict[str, object] = {"policies": n, "worlds": args.worlds}
+    result: dict[str, object] = {"policies": n, "groups": args.groups}
+    names, groups = [f"red@{i}" for i in range(n + 1)], [f"1/blue/1/{k}/0" for k in range(args.groups)]
     for name, rule in rules.items():
-        result[name] = timed(lambda rule=rule: draw(rule(), args.worlds, rng), args.repeats)
+        result[name] = timed(lambda rule=rule: draw(rule(), names, groups), args.repeats)
     for size in (50, 200):
         game = rng.normal(size=(size, size))
         result[f"nash_{size}"] = timed(lambda game=game: nash(game - game.T), 3)

@@ -23,7 +23,7 @@ from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
 from league.runtime.bootstrap import create, validate_first_start, validate_stage_starts, validate_victims
-from league.runtime.validation import validate
+from league.runtime.validation import short_turns, validate
 from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
 from league.snapshots.transfer import warm_start
 from league.state.team_exchange import as_made, players_in
@@ -47,7 +47,7 @@ class Prepared:
     worlds: int  # simulated at once in training
     sides: tuple[str, ...]  # each team as text, e.g. blue (2 × leatherback)
     rating: tuple[int, int] = RATING["cpu"]  # worlds and pairings of a batch of rating matches
-    starts: tuple[str, ...] = ()  # lines about robots that see or do something else than where their policies learnt
+    starts: tuple[str, ...] = ()  # lines that a user should read first, as about robots that see other things now
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Prepared":
@@ -209,6 +209,7 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
         starts = warm_start.fit_lines(store, config, arenas[0]) if begins else []
         starts += warm_start.changed_actions(store, config) if begins else []
     arena = arenas[0]
+    starts += [] if stages else short_turns(config, arena.timing.decisions)
     sides = tuple(f"{t.name} ({describe_team(a.kind for a in t.agents)})" for t in arena.teams)
     count, batch = worlds(config), rating_batch(config)
     prepared = Prepared(arena.name, arena.engine.name, count, sides, batch, tuple(starts))

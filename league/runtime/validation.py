@@ -69,6 +69,22 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     return arena
 
 
+def short_turns(config: Config, decisions: int) -> list[str]:
+    """Return a line if worlds begin anew before a game of so many `decisions`, the longest, can end in most of them.
+
+    The worlds of a deterministic league begin anew every turn, and the first episode of each is cut at random.
+    """
+    training = config.training
+    turn = training.iterations_per_turn * training.rollout_length
+    if not config.deterministic or turn >= 2 * decisions:
+        return []
+    enough = -(-2 * decisions // training.rollout_length)
+    return [
+        f"deterministic: worlds begin anew every turn, after {turn:,} decisions, and a game may have {decisions:,}:"
+        f" players hardly learn how games end by time; give training.iterations_per_turn = {enough} or more"
+    ]
+
+
 def _validate_batch(config: Config) -> None:
     """Raise ConfigError if a batch cannot be divided as asked, where training has this machine's number of worlds."""
     build_config(Config, {"training": {"worlds": worlds(config)}}, config)

@@ -48,10 +48,13 @@ class OpponentDistribution:
     read: np.ndarray | None = None  # (n,) input of the rule: win rates, predicted scores, qualities or payoffs
     quantity: str = ""  # the name of that input
 
-    def draw(self, groups: int, rng: np.random.Generator) -> list[tuple[str, float]]:
-        """Return for each of so many groups of worlds a snapshot, "" for the present player, and its probability."""
+    def draw(self, groups: Sequence[str]) -> list[tuple[str, float]]:
+        """Return for each group of worlds a snapshot, "" for the present player, and its probability.
+
+        A group is a text that stays while it should keep its opponent.
+        """
         names, weights = (*self.names, ""), self.mixture.weights
-        return [(names[i], float(weights[i])) for i in draw(weights, groups, rng)]
+        return [(names[i], float(weights[i])) for i in draw(weights, names, groups)]
 
 
 def opponent_distribution(

@@ -4,9 +4,9 @@ No process holds the plan. The manager computes it again and again. A job's key 
 queues each key once, so computing a plan twice does no harm. A job that was set aside is not queued again.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from zlib import crc32
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
 from league.state.jobs import TrainingTurn, encode, failed_alone
 from league.state.league_state import LeagueState
+from matchmaking.opponents import Opponents
 from matchmaking.schedule import next_due
 from storage.records import Job, Phase, Player
 
@@ -103,7 +104,7 @@ def _first_turn(state: LeagueState, name: str, group: GroupProgress) -> Training
 
 def _turn(config: Config, state: LeagueState, name: str, group: GroupProgress, phase: Phase) -> TrainingTurn:
     seats = _seats(group.players, 1 + max(p.team for p in state.players))
-    met = {learner.player.name: _opponents(config.seed, state, learner, seats) for learner in group.learners}
+    met = {learner.player.name: _opponents(config, state, learner, seats) for learner in group.learners}
     return TrainingTurn(
         name,
         phase.number,
@@ -139,8 +140,12 @@ def _iterations(config: Config, group: GroupProgress, phase: Phase) -> int:
     return max(1, min(limits))
 
 
-def _opponents(seed: int, state: LeagueState, learner: Learner, seats: Sequence[str]) -> tuple[Assignments, Chances]:
+def _opponents(
+    config: Config, state: LeagueState, learner: Learner, seats: Sequence[str]
+) -> tuple[Assignments, Chances]:
     """Draw the opponents of a learning player for the whole turn.
+
+    A group keeps its opponent over turns (`Opponents.episodes`), unless the rule has come to draw another.
 
     Returns:
         For each of its groups of worlds the snapshot of every team, "" in its own team and for a present player; and
@@ -154,17 +159,29 @@ def _opponents(seed: int, state: LeagueState, learner: Learner, seats: Sequence[
     if not past:
         return (), {}
     since = -1 if learner.reset is None else learner.reset.iteration
-    rng = np.random.default_rng([seed, learner.checkpoint.iteration, crc32(player.name.encode())])
+    periods = _periods(config, rule, learner.checkpoint.iteration, past)
     assignments, chances = [[""] * len(seats) for _ in range(past)], {}
     for team, opponent in enumerate(seats):
         if team == player.team:
             continue
         found = opponent_distribution(rule, state, player, team, opponent, learner.role, since)
-        for assignment, (name, chance) in zip(assignments, found.draw(past, rng), strict=True):
+        groups = [f"{config.seed}/{player.name}/{team}/{k}/{period}" for k, period in enumerate(periods)]
+        for assignment, (name, chance) in zip(assignments, found.draw(groups), strict=True):
             assignment[team] = name
             if name:
                 chances[name] = (chance, len(found.names))
     return tuple(map(tuple, assignments)), chances
+
+
+def _periods(config: Config, rule: Opponents, iteration: int, groups: int) -> list[int]:
+    """Return for each group of worlds the number of the period, at an iteration, in which it keeps its opponent.
+
+    A period is `Opponents.episodes` of the arena's longest episodes, in whole iterations. The groups' periods begin one
+    after the other, so that not all of a learner's opponents change at once.
+    """
+    decisions = rule.episodes * config.arena.outline().timing.decisions
+    period = max(1, math.ceil(decisions / config.training.rollout_length))
+    return [(iteration + k * period // groups) // period for k in range(groups)]
 
 
 def _seats(players: Sequence[Player], teams: int) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Published rules of opponent sampling: probabilities over a list of snapshots, ordered from oldest to newest."""
 
+import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
@@ -193,9 +194,26 @@ def check_mix(mix: tuple[float, float, float]) -> tuple[float, float, float]:
     return mix
 
 
-def draw(weights: np.ndarray, k: int, rng: np.random.Generator) -> np.ndarray:
-    """Return indices (k,) drawn independently with probabilities `weights`; the same index may occur repeatedly."""
-    return rng.choice(len(weights), size=k, p=weights)
+def draw(weights: np.ndarray, names: Sequence[str], keys: Sequence[str]) -> list[int]:
+    """Return for each key an index of `names`, drawn independently with probabilities `weights` (n,).
+
+    The draw is a hash of the key and the names. So a key draws the same name again while the weights stay, and another
+    one only as far as they change: of n + 1 equal weights instead of n, the new name with probability 1 / (n + 1), else
+    the same as before. Each name has a time that is exponentially distributed with its weight as rate, and the
+    earliest wins, as in weighted rendezvous hashing (Schindelhauer and Schomaker 2005, "Weighted distributed hash
+    tables", the logarithmic method).
+    """
+    able = np.flatnonzero(weights > 0)
+    found = []
+    for key in keys:
+        exponentials = np.array([-math.log(_uniform(f"{key}/{names[i]}")) for i in able])
+        found.append(int(able[np.argmin(exponentials / weights[able])]))
+    return found
+
+
+def _uniform(text: str) -> float:
+    """Return a number in (0, 1) that follows from the text alone, in all processes."""
+    return (int.from_bytes(hashlib.blake2b(text.encode(), digest_size=6).digest(), "big") + 0.5) / 2**48
 
 
 def checked_count(n: int) -> int:

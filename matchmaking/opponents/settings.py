@@ -85,6 +85,11 @@ class Opponents:
     """Equal groups of a learner's worlds, including those with present opponents; each other group meets one
     snapshot."""
 
+    episodes: int = 4
+    """So many of the arena's longest episodes a group keeps its snapshot, unless the rule has come to draw another (0:
+    for a turn). Where it changes, worlds begin anew: with a new one each turn, long games would never reach their end.
+    """
+
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise ValueError(f"kind is {self.kind!r}; choose one of {', '.join(get_args(Kind))}")
@@ -97,6 +102,8 @@ class Opponents:
         for name in ("rate", "sigma", "alpha"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+        if self.episodes < 0:
+            raise ValueError(f"episodes is {self.episodes}; it is a number of episodes, 0 or more")
         if self.shrinkage < 0:
             raise ValueError(f"shrinkage is {self.shrinkage}; it is a number of games, 0 or more")
         if self.weighting not in get_args(Weighting):

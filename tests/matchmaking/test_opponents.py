@@ -166,11 +166,18 @@ def test_alphastars_shares_can_be_chosen_and_always_sum_to_one():
         mixture([0.5], mix=(0.5, 0.3, 0.1))
 
 
-def test_draw_follows_the_weights_and_the_generator():
-    weights = np.array([0.0, 0.25, 0.75])
-    drawn = draw(weights, 4000, np.random.default_rng(0))
-    assert np.bincount(drawn, minlength=3) / 4000 == pytest.approx(weights, abs=0.03)
-    assert drawn.tolist() == draw(weights, 4000, np.random.default_rng(0)).tolist()
+def test_draw_follows_the_weights_and_changes_only_as_far_as_they_do():
+    names, keys = ["a", "b", "c"], [f"group {i}" for i in range(4000)]
+    drawn = draw(np.array([0.0, 0.25, 0.75]), names, keys)
+    assert np.bincount(drawn, minlength=3) / 4000 == pytest.approx([0.0, 0.25, 0.75], abs=0.03)
+    assert drawn == draw(np.array([0.0, 0.25, 0.75]), names, keys)
+    before, after = (np.array(draw(np.ones(n) / n, [f"red@{i}" for i in range(n)], keys)) for n in (9, 10))
+    assert (after == 9).mean() == pytest.approx(0.1, abs=0.02)
+    assert (before == after)[after < 9].all()
+    heavier = np.array(draw(np.array([0.3, *[0.1] * 7]), [f"red@{i}" for i in range(8)], keys))
+    lighter = np.array(draw(np.array([0.2, *[0.8 / 7] * 7]), [f"red@{i}" for i in range(8)], keys))
+    assert (heavier == 0).mean() == pytest.approx(0.3, abs=0.03)
+    assert (heavier == lighter)[heavier != 0].all()
 
 
 def test_a_rule_has_its_published_share_of_the_past_unless_another_is_given():

@@ -16,7 +16,7 @@ from league.config.sections import PlayerSettings
 from league.runtime import preflight
 from league.runtime.bootstrap import create
 from league.runtime.preflight import prepare
-from league.runtime.validation import roster, scripts, validate
+from league.runtime.validation import roster, scripts, short_turns, validate
 from league.system import devices
 from league.system.arena_build import worlds
 from storage.store import Store
@@ -56,6 +56,17 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
     assert ".".join(caught.value.key) == key
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_deterministic_league_whose_turns_are_shorter_than_games_is_told_so():
+    training = replace(duel().training, rollout_length=48, iterations_per_turn=16)
+    config = duel(deterministic=True, training=training, budget=configuration.Budget(steps=10**6))
+    (line,) = short_turns(config, 1500)
+    assert "after 768 decisions, and a game may have 1,500" in line
+    assert "iterations_per_turn = 63 or more" in line
+    assert not short_turns(replace(config, training=replace(training, iterations_per_turn=63)), 1500)
+    assert not short_turns(replace(config, deterministic=False), 1500)
+    assert not short_turns(config, 384)
 
 
 def test_scripts_by_which_training_ends_are_in_the_pool_whatever_is_rated():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from league.config import experiment as configuration
@@ -26,6 +27,30 @@ def test_turns_end_where_snapshots_are_due_and_never_last_longer_than_a_crash_ma
         at += turn.iterations
         ends.append(at)
     assert ends == [1, 2, 4, 8, 16, 32, 48, 64, 80]
+
+
+def assigned(iterations, known=20, **rule) -> np.ndarray:
+    """Which of `known` snapshots of red each of blue's eight groups meets in turns that begin at these iterations."""
+    config = training(iterations_per_turn=1, opponents=Opponents("uniform", **rule))
+    there = snapshots(*range(known))
+    plans = (turns(config, league_state(checkpoints=checkpoints(at), snapshots=there)) for at in iterations)
+    return np.array([[int(seats[1].partition("@")[2]) for seats in turn.past["blue"]] for (turn,) in plans])
+
+
+def test_groups_keep_their_opponents_for_some_episodes_and_change_one_after_the_other():
+    met = assigned(range(100, 152))  # 4 episodes of 100 decisions are 13 iterations of 32
+    changed = met[1:] != met[:-1]
+    assert changed.sum(1).max() == 1
+    assert 20 < changed.sum() <= 4 * 8  # 4 periods of 8 groups; a new period may draw the same one
+    begins = [k for k in range(52) if (100 + k) % 13 == 0]  # those of the first group
+    assert {k + 1 for k in np.flatnonzero(changed[:, 0])} <= set(begins)
+    assert (assigned(range(100, 104), episodes=0)[1:] != met[1:4]).mean() > 0.8  # each turn draws anew
+
+
+def test_a_new_snapshot_takes_few_groups_from_the_others():
+    before, after = assigned(range(100, 800, 13)), assigned(range(100, 800, 13), known=21)
+    assert (before == after)[after < 20].all()
+    assert (after == 20).mean() == pytest.approx(1 / 21, abs=0.03)
 
 
 @pytest.mark.parametrize("schedule", [Schedule("leapfrog", period=5), Schedule("leapfrog", period_steps=5 * 8192 - 1)])

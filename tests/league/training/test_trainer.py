@@ -202,12 +202,27 @@ def test_past_opponents_are_met_by_learners_that_learn_on(duel_store, duel):
     assert duel_store.checkpoint(LEAGUE, "blue").step == 4 * 15 * 8
 
 
+def lively(opponents: Opponents):
+    """Settings of a league whose worlds live on from turn to turn; the clock ends no turn, however slow the machine."""
+    config = settings(opponents=opponents)
+    rating = replace(config.rating, milestones=())
+    return replace(config, deterministic=False, budget=configuration.Budget(), rating=rating)
+
+
+@pytest.mark.parametrize("episodes", [0, 4])
+def test_episodes_outlast_turns_where_opponents_stay(duel_store, duel, episodes):
+    config = lively(Opponents("uniform", groups=4, episodes=episodes))
+    trainer = turns(duel_store, config, duel, 12)  # to iteration 36; a turn has 32 decisions
+    begun = [
+        p.values["begun_anew"] for p in duel_store.curves(LEAGUE, "blue") if p.iteration > 4 and p.iteration % 4 == 1
+    ]
+    ((worlds, _),) = trainer._worlds.values()
+    assert (np.mean(begun) < 0.4) == (episodes > 0)
+    assert (float((worlds.age > 32).mean()) > 0.2) == (episodes > 0)
+
+
 def test_worlds_whose_opponent_changed_begin_anew_and_it_is_counted(duel_store, duel):
-    config = settings(opponents=Opponents("uniform", past=0.5, groups=4))
-    config = replace(
-        config, deterministic=False, budget=configuration.Budget(),
-        rating=replace(config.rating, milestones=()),  # the clock ends no turn, however slow the machine is
-    )  # fmt: skip
+    config = lively(Opponents("uniform", past=0.5, groups=4, episodes=0))
     trainer = turns(duel_store, config, duel, 6)  # to iterations 1, 2, 4, 8, 12
     share = {p.iteration: p.values["begun_anew"] for p in duel_store.curves(LEAGUE, "blue")}
     assert any(0 < s < 1 for s in share.values())  # past groups, not those of present opponents
