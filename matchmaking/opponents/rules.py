@@ -204,11 +204,9 @@ def draw(weights: np.ndarray, names: Sequence[str], keys: Sequence[str]) -> list
     tables", the logarithmic method).
     """
     able = np.flatnonzero(weights > 0)
-    found = []
-    for key in keys:
-        exponentials = np.array([-math.log(_uniform(f"{key}/{names[i]}")) for i in able])
-        found.append(int(able[np.argmin(exponentials / weights[able])]))
-    return found
+    drawn, rates = [names[i] for i in able.tolist()], weights[able]
+    times = (np.array([-math.log(_uniform(f"{key}/{name}")) for name in drawn]) / rates for key in keys)
+    return [int(able[np.argmin(each)]) for each in times]
 
 
 def _uniform(text: str) -> float:
