@@ -23,7 +23,7 @@ from league.config.experiment import Config
 from league.config.run_spec import RunSpec
 from league.config.schema import ConfigError
 from league.runtime.bootstrap import create, validate_first_start, validate_stage_starts, validate_victims
-from league.runtime.validation import short_turns, validate
+from league.runtime.validation import early_restarts, validate
 from league.runtime.warm_worker import WarmWorker, await_message, become_worker, can_become_worker
 from league.snapshots.transfer import warm_start
 from league.state.team_exchange import as_made, players_in
@@ -209,9 +209,9 @@ def _prepare(request: Mapping[str, Any], ahead: Built | None) -> tuple[Prepared,
         starts = warm_start.fit_lines(store, config, arenas[0]) if begins else []
         starts += warm_start.changed_actions(store, config) if begins else []
     arena = arenas[0]
-    starts += [] if stages else short_turns(config, arena.timing.decisions)
     sides = tuple(f"{t.name} ({describe_team(a.kind for a in t.agents)})" for t in arena.teams)
     count, batch = worlds(config), rating_batch(config)
+    starts += [] if stages else early_restarts(config, arena, count)
     prepared = Prepared(arena.name, arena.engine.name, count, sides, batch, tuple(starts))
     return prepared, Built(arena, first, worlds(first))
 

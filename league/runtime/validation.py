@@ -69,19 +69,29 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
     return arena
 
 
-def short_turns(config: Config, decisions: int) -> list[str]:
-    """Return a line if worlds begin anew before a game of so many `decisions`, the longest, can end in most of them.
+def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
+    """Return a line if worlds begin anew before half of them can play the arena's longest game to its end.
 
-    The worlds of a deterministic league begin anew every turn, and the first episode of each is cut at random.
+    All worlds of a deterministic league begin anew every turn, and in leapfrog those against the learner's history
+    every phase. The first episode of each is cut at random, up to the longest, so all of them can after two longest.
     """
-    training = config.training
-    turn = training.iterations_per_turn * training.rollout_length
-    if not config.deterministic or turn >= 2 * decisions:
+    training, schedule, decisions = config.training, config.training.schedule, arena.timing.decisions
+    rollout, enough = training.rollout_length, -(-2 * decisions // training.rollout_length)
+    past = any(rule.share for _, rule in rules(config, [team.name for team in arena.teams]))
+    if config.deterministic:
+        span, what = training.iterations_per_turn * rollout, "in a deterministic league worlds begin anew every turn"
+        mend = f"training.iterations_per_turn = {enough}"
+    elif schedule.kind == "leapfrog" and past:
+        steps, what = schedule.period_steps, "in leapfrog worlds against past opponents begin anew every phase"
+        span = schedule.period * rollout if steps is None else -(-steps // worlds)
+        mend = f"training.schedule.period{f' = {enough}' if steps is None else f'_steps = {enough * rollout * worlds}'}"
+    else:
         return []
-    enough = -(-2 * decisions // training.rollout_length)
+    if span >= 1.5 * decisions:
+        return []
     return [
-        f"deterministic: worlds begin anew every turn, after {turn:,} decisions, and a game may have {decisions:,}:"
-        f" players hardly learn how games end by time; give training.iterations_per_turn = {enough} or more"
+        f"{what}, after {span:,} decisions, and a game may have {decisions:,}: players hardly learn how games end by"
+        f" time; give {mend} or more"
     ]
 
 

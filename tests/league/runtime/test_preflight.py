@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,9 +17,11 @@ from league.config.sections import PlayerSettings
 from league.runtime import preflight
 from league.runtime.bootstrap import create
 from league.runtime.preflight import prepare
-from league.runtime.validation import roster, scripts, short_turns, validate
+from league.runtime.validation import early_restarts, roster, scripts, validate
 from league.system import devices
 from league.system.arena_build import worlds
+from matchmaking.opponents import Opponents
+from matchmaking.schedule import Schedule
 from storage.store import Store
 from tests.league.conftest import ROOT
 
@@ -58,15 +61,37 @@ def test_what_arena_or_machine_cannot_do_is_refused_with_its_key(toml, key, says
     assert "\n" not in str(caught.value)
 
 
-def test_a_deterministic_league_whose_turns_are_shorter_than_games_is_told_so():
+def lasting(decisions: int) -> SimpleNamespace:
+    """As much of an arena as tells how long its games may be."""
+    return SimpleNamespace(timing=SimpleNamespace(decisions=decisions), teams=[SimpleNamespace(name="blue")])
+
+
+def test_worlds_that_begin_anew_before_games_can_end_are_told():
     training = replace(duel().training, rollout_length=48, iterations_per_turn=16)
     config = duel(deterministic=True, training=training, budget=configuration.Budget(steps=10**6))
-    (line,) = short_turns(config, 1500)
-    assert "after 768 decisions, and a game may have 1,500" in line
-    assert "iterations_per_turn = 63 or more" in line
-    assert not short_turns(replace(config, training=replace(training, iterations_per_turn=63)), 1500)
-    assert not short_turns(replace(config, deterministic=False), 1500)
-    assert not short_turns(config, 384)
+    (line,) = early_restarts(config, lasting(1500), 64)
+    assert "every turn, after 768 decisions, and a game may have 1,500" in line
+    assert "training.iterations_per_turn = 63 or more" in line
+    assert not early_restarts(replace(config, training=replace(training, iterations_per_turn=63)), lasting(1500), 64)
+    assert not early_restarts(config, lasting(512), 64)
+    assert not early_restarts(replace(config, deterministic=False), lasting(1500), 64)
+
+
+@pytest.mark.parametrize(
+    ("schedule", "span", "mend"),
+    [
+        (Schedule("leapfrog", period=40), "1,920", "period = 63"),
+        (Schedule("leapfrog", period_steps=99_999), "1,563", "193536"),
+    ],
+)
+def test_phases_of_leapfrog_that_are_shorter_than_games_are_told_where_there_is_a_history(schedule, span, mend):
+    training = replace(duel().training, rollout_length=48, schedule=schedule)
+    config = duel(training=replace(training, opponents=Opponents("uniform", past=0.5)))
+    (line,) = early_restarts(config, lasting(1500), 64)
+    assert f"every phase, after {span} decisions" in line
+    assert f"{mend} or more" in line
+    assert not early_restarts(config, lasting(1042), 64)
+    assert not early_restarts(duel(training=training), lasting(1500), 64)  # the newest opponents alone
 
 
 def test_scripts_by_which_training_ends_are_in_the_pool_whatever_is_rated():
