@@ -285,6 +285,7 @@ def test_the_chosen_ground_is_told_to_recordings(hills):
     assert robot.designed(jnp.linspace(-1, 1, 7)[:, None] * jnp.ones(2))[:, 1].tolist() == [0, 0, 1, 1, 2, 2, 2]
 
 
+@pytest.mark.slow
 def test_a_walk_on_height_fields_keeps_the_contract(hills):
     short = replace(HILLS, rules=replace(SHORT, episode=0.2))
     assert [check for check in check_arena(built(short), short) if not check.ok] == []

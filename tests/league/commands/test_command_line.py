@@ -251,6 +251,7 @@ def test_an_arena_of_ones_own_that_is_broken_is_told_before_a_league_is_made(fol
     assert not (folder / "league-data").exists()
 
 
+@pytest.mark.slow
 def test_streams_that_are_closed_are_no_files_of_the_store(tmp_path):
     """Without them the store would be opened as one, and whatever is printed would go into it."""
     brief = ("--arena.name", "rock-paper-scissors", "--steps", "1000", "--budget.rating_time", "0s")

@@ -235,6 +235,7 @@ def test_an_exhibition_of_three_ranks_them_and_records_each_seating_in_a_match_o
         assert [1 + sum(other > own for other in score) for own in score] == list(ranks)
 
 
+@pytest.mark.slow
 def test_an_exhibition_of_three_has_as_many_episodes_as_asked_by_default_too(pucks, capsys):
     for more, episodes in (((), 2), (("--episodes", "1", "--record", "0"), 1), (("--episodes", "7"), 7)):
         code, out, err = said(capsys, "play", "tagger", "idle", "runner", *more, "--store", str(pucks))

@@ -77,6 +77,7 @@ def test_without_recordings_or_ffmpeg_the_reason_is_told(store, monkeypatch):
     assert "pip install 'robot-league[video]'" in clips.note
 
 
+@pytest.mark.slow
 def test_in_the_background_they_follow_the_league(store, monkeypatch):
     monkeypatch.setattr("league.matches.match_clips.REST_SECONDS", 0.05)
     first = record(store, "blue@1", "red@1", 48, 16)

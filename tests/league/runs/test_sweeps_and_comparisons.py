@@ -59,6 +59,7 @@ def states(capsys) -> list[str]:
     return [row["state"] for row in json.loads(out)]
 
 
+@pytest.mark.slow
 def test_one_run_fails_in_one_line_and_the_others_finish(inside, capsys):
     assert states(capsys) == ["waits"] * 3
     assert not (inside / "league-data").exists()  # a dry run writes nothing

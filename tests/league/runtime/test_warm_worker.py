@@ -226,6 +226,7 @@ ARENAS = (Own(),)
 """
 
 
+@pytest.mark.slow
 def test_workers_that_have_done_their_work_wait_for_no_exit_handler(tmp_path):
     (tmp_path / "own.py").write_text(LEAVES)
     game = (f"{tmp_path / 'own.py'}:own", *GAME[2:], "--workers.match", "1")
@@ -255,6 +256,7 @@ ARENAS = (Own(),)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("early", [True, False])  # before its first job, or with it
 def test_a_match_worker_that_compiles_ends_with_the_league(tmp_path, early):
     (tmp_path / "own.py").write_text(HANGS)

@@ -128,6 +128,7 @@ def hyperparameters(store, name):
     return state, read(state, ("lr", "entropy_coef"))
 
 
+@pytest.mark.slow
 def test_the_weaker_goes_on_from_the_strongers_whole_state_however_often_it_is_killed(arena, tmp_path):
     config = population()
     with made(tmp_path / "a", arena, config) as store:

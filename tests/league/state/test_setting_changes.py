@@ -90,6 +90,7 @@ def test_the_snapshot_after_a_change_bears_it():
     assert [each.snapshot.name for each in lineage([snapshot(2, text(), "gone@3")], "blue@2")] == ["blue@2"]
 
 
+@pytest.mark.slow
 def test_a_run_with_another_rate_says_so_and_explain_keeps_record(copied_league, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     more = ("run", "--steps", "2048", "--budget.rating_time", "0s", "--workers.match", "0")

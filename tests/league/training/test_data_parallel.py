@@ -95,6 +95,7 @@ def undisturbed(tmp_path_factory):
         yield store, ends(store)
 
 
+@pytest.mark.slow
 def test_two_ranks_train_a_league_and_count_what_both_have_learnt_from(undisturbed):
     store, found = undisturbed
     assert {name: each[:2] for name, each in found.items()} == dict.fromkeys(("blue", "red"), (7, 7 * 16 * 8))

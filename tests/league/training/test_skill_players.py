@@ -63,6 +63,7 @@ def store(tmp_path, arena) -> Iterator[Store]:
         yield store
 
 
+@pytest.mark.slow
 def test_a_league_killed_after_every_turn_ends_with_the_same_bytes(store, arena, tmp_path):
     config = settings(Opponents("uniform", past=0.5, groups=2))
     turns(store, config, arena, 4)
@@ -119,6 +120,7 @@ def test_a_league_does_not_go_on_with_other_settings_of_its_skills(changed, stor
     validate_checkpoints(store, settings(lr=0.5), arena, store.players(LEAGUE))
 
 
+@pytest.mark.slow
 def test_flat_and_skilled_players_meet_in_training_and_in_matches(store, arena, tmp_path):
     """Each learns what it chooses: two numbers per command, or two per decision. Both are rated, and scripts are."""
     players = (PlayerSettings("blue"), PlayerSettings("red", flat=True))

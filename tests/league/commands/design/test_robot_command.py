@@ -71,6 +71,7 @@ BLOCK = """<mujoco><worldbody><body name="block" pos="0 0 .05"><freejoint/><geom
 <actuator><motor joint="turn"/></actuator></mujoco>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half", ["0.2", "0.7"])  # the larger does not fit sumo's usual ring
 def test_a_robot_that_rests_on_its_base_is_not_told_to_walk(capsys, model, tmp_path, half):
     (tmp_path / "my block.xml").write_text(BLOCK.replace('size=".2 .2 ', f'size="{half} .2 '))
@@ -99,6 +100,7 @@ UNSTEADY = """<mujoco model="tricart"><worldbody><body name="chassis" pos="0 0 0
 <velocity joint="right" kv="3" ctrlrange="-15 15" forcerange="-10 10"/></actuator></mujoco>"""
 
 
+@pytest.mark.slow
 def test_rare_instability_is_found_and_the_setting_that_is_named_mends_it(capsys, model, tmp_path):
     (tmp_path / "cart.xml").write_text(UNSTEADY)
     code, out, _ = ran(capsys, "cart.xml", "--passive", "caster")

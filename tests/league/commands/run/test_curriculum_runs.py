@@ -346,6 +346,7 @@ def test_sumo_by_team_is_walked_from_the_first_step_to_the_matches(tmp_path):
         assert min(c.step for c in store.newest_checkpoints("sumo-by-team.match").values()) >= 2000
 
 
+@pytest.mark.slow
 def test_a_league_starts_from_a_file_and_needs_it_no_more_once_it_has_begun(bodiless_league, tmp_path):
     file, store = tmp_path / "mine.safetensors", str(bodiless_league / "league-data")
     exported = call("export", "blue", "--store", store, "-o", str(file), cwd=tmp_path)

@@ -140,6 +140,7 @@ def test_nothing_begins_for_a_league_without_stages(compiles):
     assert compiler.process is None
 
 
+@pytest.mark.slow
 def test_a_failure_is_told_once(compiles, tmp_path, capfd):
     compiler = compiles(config(odd(tmp_path, "raise RuntimeError('no ground to run on')")))
     look = compiler.watch(0, "warp")
@@ -165,6 +166,7 @@ def test_the_death_of_the_process_is_told(compiles, tmp_path, capfd):
     )
 
 
+@pytest.mark.slow
 def test_it_ends_when_its_parent_is_killed(tmp_path):
     hangs = f"open({str(tmp_path / 'hangs')!r}, 'w'); time.sleep(1e6)"
     text = f"""
@@ -233,6 +235,7 @@ def test_the_next_stage_is_prepared_while_players_learn_where_cores_are_to_spare
     assert (following.prepared is not None) == starts
 
 
+@pytest.mark.slow
 def test_who_has_prepared_ahead_becomes_the_worker_and_is_replaced_if_it_died(tmp_path):
     stage = replace(configuration.stage(configuration.loads(SMALL, "test"), 1), after=())
     spec = RunSpec.of(str(tmp_path / "store"), stage)
@@ -260,6 +263,7 @@ cli.main(["run", "cup.toml", *sys.argv[1:]])
 """
 
 
+@pytest.mark.slow
 def test_a_kill_while_the_next_stage_is_prepared_leaves_no_process_and_loses_nothing(tmp_path):
     (tmp_path / "cup.toml").write_text(SMALL.replace("100_000", "100_000_000"))
     with (tmp_path / "out.txt").open("ab") as out:

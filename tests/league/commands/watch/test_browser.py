@@ -172,6 +172,7 @@ def test_a_click_on_a_cell_shows_its_matches(seen):
     assert seen.complaints == []
 
 
+@pytest.mark.slow
 def test_axe_finds_nothing_and_figures_take_the_readers_colours(browser, folder, monkeypatch):
     from axe_playwright_python.sync_playwright import Axe
 
@@ -256,6 +257,7 @@ PLAY = """async film => {
 }"""
 
 
+@pytest.mark.slow
 def test_films_play_as_served_and_in_a_report(seen, browser, folder, monkeypatch):
     served = seen.tab.locator("#overview video")
     served.wait_for(timeout=120_000)  # it is drawn meanwhile
