@@ -24,6 +24,9 @@ from storage.records import Job, Phase, Player
 Assignments = tuple[tuple[str, ...], ...]  # for each group of worlds the snapshot or player of every team
 Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it was drawn, and out of how many
 
+UNKNOWN_DECISIONS = 1000
+"""Decisions of the longest episode where the arena's settings do not tell: those of most environments of Gymnasium."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -179,8 +182,9 @@ def _periods(config: Config, rule: Opponents, iteration: int, groups: int) -> li
     A period is `Opponents.episodes` of the arena's longest episodes, in whole iterations. The groups' periods begin one
     after the other, so that not all of a learner's opponents change at once.
     """
-    decisions = rule.episodes * config.arena.outline().timing.decisions
-    period = max(1, math.ceil(decisions / config.training.rollout_length))
+    timing = getattr(config.arena, "timing", None)  # your own arena's settings need not have it
+    longest = UNKNOWN_DECISIONS if timing is None else timing.decisions
+    period = max(1, math.ceil(rule.episodes * longest / config.training.rollout_length))
     return [(iteration + k * period // groups) // period for k in range(groups)]
 
 

@@ -1,6 +1,7 @@
 """Training turns: the plan is read off the store alone, so these tests hand it stores' contents as values."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -46,6 +47,14 @@ def test_groups_keep_their_opponents_for_some_episodes_and_change_one_after_the_
     assert {k + 1 for k in np.flatnonzero(changed[:, 0])} <= set(begins)
     each_turn = assigned(range(100, 104), episodes=0)
     assert (each_turn[1:] != each_turn[:-1]).mean() > 0.8
+
+
+def test_an_arena_that_does_not_tell_how_long_its_episodes_are_has_a_thousand_decisions():
+    config = training(iterations_per_turn=1, opponents=Opponents("uniform"))
+    config, there = replace(config, arena=SimpleNamespace(name="guest")), snapshots(*range(20))
+    plans = (turns(config, league_state(checkpoints=checkpoints(at), snapshots=there)) for at in range(125, 250))
+    met = np.array([turn.past["blue"] for (turn,) in plans])[:, 0, 1]  # of the first group: 4,000 decisions, 32 at once
+    assert len(set(met)) == 1
 
 
 def test_a_new_snapshot_takes_few_groups_from_the_others():
