@@ -294,7 +294,7 @@ def test_torchrun_starts_all_ranks_again_when_one_is_killed(undisturbed, tmp_pat
             runner.kill()
         assert manager.wait(60) == 0
     with Store.open(tmp_path / "league-data") as store:
-        assert sum(job.failures for job in store.jobs(LEAGUE)) == 1
+        assert sum(job.failures for job in store.jobs(LEAGUE)) <= 1  # none if it died between two turns
     assert ends(tmp_path) == undisturbed
 
 
