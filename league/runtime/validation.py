@@ -80,18 +80,20 @@ def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
     past = any(rule.share for _, rule in rules(config, [team.name for team in arena.teams]))
     if config.deterministic:
         span, what = training.iterations_per_turn * rollout, "in a deterministic league worlds begin anew every turn"
-        mend = f"training.iterations_per_turn = {enough}"
+        mend = f"iterations_per_turn = {enough}"
     elif schedule.kind == "leapfrog" and past:
-        steps, what = schedule.period_steps, "in leapfrog worlds against past opponents begin anew every phase"
-        span = schedule.period * rollout if steps is None else -(-steps // worlds)
-        mend = f"training.schedule.period{f' = {enough}' if steps is None else f'_steps = {enough * rollout * worlds}'}"
+        what = "in leapfrog worlds against past opponents begin anew every phase"
+        if schedule.period_steps is None:
+            span, mend = schedule.period * rollout, f"schedule.period = {enough}"
+        else:
+            span, mend = -(-schedule.period_steps // worlds), f"schedule.period_steps = {enough * rollout * worlds}"
     else:
         return []
     if span >= 1.5 * decisions:
         return []
     return [
         f"{what}, after {span:,} decisions, and a game may have {decisions:,}: players hardly learn how games end by"
-        f" time; give {mend} or more"
+        f" time; give training.{mend} or more"
     ]
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arenas.arena_settings import Timing
 from league.config.experiment import Config
 from league.scheduling import training_progress
 from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
@@ -182,8 +183,8 @@ def _periods(config: Config, rule: Opponents, iteration: int, groups: int) -> li
     A period is `Opponents.episodes` of the arena's longest episodes, in whole iterations. The groups' periods begin one
     after the other, so that not all of a learner's opponents change at once.
     """
-    timing = getattr(config.arena, "timing", None)  # your own arena's settings need not have it
-    longest = UNKNOWN_DECISIONS if timing is None else timing.decisions
+    timing = getattr(config.arena, "timing", None)  # settings of an arena of your own need not have one
+    longest = timing.decisions if isinstance(timing, Timing) else UNKNOWN_DECISIONS
     period = max(1, math.ceil(rule.episodes * longest / config.training.rollout_length))
     return [(iteration + k * period // groups) // period for k in range(groups)]
 

@@ -77,6 +77,14 @@ def test_worlds_that_begin_anew_before_games_can_end_are_told():
     assert not early_restarts(replace(config, deterministic=False), lasting(1500), 64)
 
 
+def test_what_is_prepared_tells_of_early_restarts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    training = replace(duel().training, worlds=8, rollout_length=4, iterations_per_turn=2)
+    config = duel(deterministic=True, training=training, budget=configuration.Budget(steps=1000))
+    (line,) = prepare(RunSpec.of("store", config), config).starts
+    assert "every turn, after 8 decisions" in line
+
+
 @pytest.mark.parametrize(
     ("schedule", "span", "mend"),
     [

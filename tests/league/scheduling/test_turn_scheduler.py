@@ -51,10 +51,13 @@ def test_groups_keep_their_opponents_for_some_episodes_and_change_one_after_the_
 
 def test_an_arena_that_does_not_tell_how_long_its_episodes_are_has_a_thousand_decisions():
     config = training(iterations_per_turn=1, opponents=Opponents("uniform"))
-    config, there = replace(config, arena=SimpleNamespace(name="guest")), snapshots(*range(20))
-    plans = (turns(config, league_state(checkpoints=checkpoints(at), snapshots=there)) for at in range(125, 250))
-    met = np.array([turn.past["blue"] for (turn,) in plans])[:, 0, 1]  # of the first group: 4,000 decisions, 32 at once
-    assert len(set(met)) == 1
+    there = snapshots(*range(20))
+    for arena in (SimpleNamespace(name="guest"), SimpleNamespace(name="guest", timing=0.02)):
+        config = replace(config, arena=arena)
+        plans = (turns(config, league_state(checkpoints=checkpoints(at), snapshots=there)) for at in range(125, 251))
+        met = np.array([turn.past["blue"] for (turn,) in plans])[:, 0, 1]  # of the first group
+        assert len(set(met[:125])) == 1  # 4,000 decisions are 125 iterations of 32
+        assert met[125] != met[0]
 
 
 def test_a_new_snapshot_takes_few_groups_from_the_others():
