@@ -2,13 +2,16 @@
 
 import json
 import shutil
-from contextlib import ExitStack
+from contextlib import ExitStack, chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from league.commands import cli
 from league.runs.comparison.cells import cells, members
 from league.runs.comparison.curve_bands import Band, unrated
 from league.runs.sweeps import sweep_file
@@ -40,17 +43,29 @@ rating.scripts = [[], ["rock"], ["nobody"]]
 NAMES = ["lr.scripts-none.s1", "lr.scripts-rock.s1", "lr.scripts-nobody.s1"]
 
 
+class Swept(NamedTuple):
+    """A sweep of three runs: its folder, its exit code and what it printed."""
+
+    folder: Path
+    code: int
+    out: str
+    err: str
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def swept(tmp_path_factory) -> Swept:
     found = tmp_path_factory.mktemp("swept")
     (found / "grid.toml").write_text(TEXT)
-    return found
+    out, err, ends = StringIO(), StringIO(), pytest.raises(SystemExit)
+    with chdir(found), redirect_stdout(out), redirect_stderr(err), ends as ended:
+        cli.main(["sweep", "grid.toml"])
+    return Swept(found, int(ended.value.code or 0), out.getvalue(), err.getvalue())
 
 
 @pytest.fixture
-def inside(folder, monkeypatch) -> Path:
-    monkeypatch.chdir(folder)
-    return folder
+def inside(swept, monkeypatch) -> Path:
+    monkeypatch.chdir(swept.folder)
+    return swept.folder
 
 
 def states(capsys) -> list[str]:
@@ -59,16 +74,19 @@ def states(capsys) -> list[str]:
     return [row["state"] for row in json.loads(out)]
 
 
-@pytest.mark.slow
-def test_one_run_fails_in_one_line_and_the_others_finish(inside, capsys):
+def test_a_dry_run_writes_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("grid.toml").write_text(TEXT)
     assert states(capsys) == ["waits"] * 3
-    assert not (inside / "league-data").exists()  # a dry run writes nothing
-    code, out, err = said(capsys, "sweep", "grid.toml")
-    assert (code, err) == (1, "")
-    (failed,) = [line for line in out.splitlines() if " failed: " in line]
+    assert [each.name for each in tmp_path.iterdir()] == ["grid.toml"]
+
+
+def test_one_run_fails_in_one_line_and_the_others_finish(swept, inside, capsys):
+    assert (swept.code, swept.err) == (1, "")
+    (failed,) = [line for line in swept.out.splitlines() if " failed: " in line]
     assert NAMES[2] in failed
     assert "nobody" in failed
-    assert "2 of 3 runs have finished; 1 failed" in out
+    assert "2 of 3 runs have finished; 1 failed" in swept.out
     assert states(capsys) == ["finished", "finished", "waits"]
 
 
