@@ -129,7 +129,7 @@ class Trainer:
                 )
             del trajectory  # two at once would need twice the memory
 
-            steps += matchups.worlds * self.comm.size * self.config.training.rollout_length
+            steps += self._steps(matchups)
             elapsed = self.comm.broadcast(time.monotonic() - began)
             points = tuple(self._count(name, before[name], steps, elapsed, figures[name]) for name in turn.learners)
             self._points.extend(points)
@@ -258,7 +258,11 @@ class Trainer:
         return batch_of(
             self.config, self.arena, self.pool.players[name], trajectory, matchups.worlds_of(name),
             self.pool.shaping(name), self._critic_memories.get(name, ()), self.pool.skills[name], self.pool.gamma(name),
-        )  # fmt: skip
+        )._replace(steps=self._steps(matchups))  # fmt: skip
+
+    def _steps(self, matchups: Matchups) -> int:
+        """Return the environment steps of an iteration, those in other players' groups of worlds included."""
+        return matchups.worlds * self.comm.size * self.config.training.rollout_length
 
     def _count(
         self, name: str, before: Counters, steps: int, elapsed: float, figures: Mapping[str, float]
