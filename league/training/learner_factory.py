@@ -34,7 +34,7 @@ def settings_of(config: Config, player: Player) -> HappoConfig:
         if own.hidden is not None:
             settings = replace(settings, architecture=replace(settings.architecture, hidden=own.hidden))
         if own.lr is not None:
-            settings = replace(settings, lr=own.lr, critic_lr=own.lr)
+            settings = replace(settings, lr=own.lr)
         same = own.class_ in (None, settings.class_)
         given = Table({**(settings.settings if same else {}), **own.settings})
         settings = replace(settings, class_=own.class_ or settings.class_, settings=given)

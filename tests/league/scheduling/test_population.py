@@ -16,6 +16,7 @@ from league.scheduling.population import copy_now, read, surely_scores
 from league.snapshots.codec import add_scripts
 from league.state.jobs import decode
 from league.state.league_state import LeagueState
+from league.training.learner_factory import settings_of
 from matchmaking.opponents import Opponents
 from matchmaking.pbt import Pbt
 from matchmaking.ratings.ladder import Ladder, Pool
@@ -100,6 +101,13 @@ def population(**changes):
     )  # fmt: skip
     training = replace(config.training, pbt=replace(pbt, **changes))
     return replace(config, arena=configuration.default("rock-paper-scissors").arena, training=training, players=players)
+
+
+def test_a_players_own_rate_is_that_of_its_actors_alone():
+    config = population()
+    slow = settings_of(config, Player(LEAGUE, "slow", 0, "main", "roster", "2"))
+    assert (slow.lr, slow.critic_lr) == (1e-4, config.learner.critic_lr)
+    assert settings_of(config, Player(LEAGUE, "other", 0, "main", "roster", "2")) == config.learner
 
 
 def made(place, arena, config):
