@@ -2,7 +2,8 @@
 
 In a `PolicyStack` such a policy is a number, as a script is, so that one compiled rollout serves all of them. The
 number leads to the policy of this process. What a recurrent or stateful policy remembers stays on the host, apart for
-each agent and group of worlds; it restarts where an episode begins.
+each agent, group and number of worlds (a match or a recording has others than training); it restarts where an episode
+begins.
 """
 
 from collections.abc import Callable
@@ -37,7 +38,7 @@ class HostPolicy:
     def __init__(self, make: Callable[[], Actor], action_size: int, report: Callable[[str], None]):
         """Prepare a policy. `make` makes an actor for a seat; `report` is told of the first fault, in a few words."""
         self._make, self.action_size, self._report = make, action_size, report
-        self._seats: dict[tuple[str, int], tuple[int, Actor]] = {}
+        self._seats: dict[tuple[str, int, int], Actor] = {}
         self._faulty = False
         self.number = next(_numbers)
         _policies[self.number] = self
@@ -57,13 +58,12 @@ class HostPolicy:
             return self._fault(f"raised {type(error).__name__}: {' '.join(str(error).split())[:300]}", shape)
 
     def _seat(self, agent: str, group: int, worlds: int) -> tuple[Actor, bool]:
-        """Return the actor of a seat, and whether it is new: at first, and where the number of worlds has changed."""
-        size, actor = self._seats.get((agent, group), (0, None))
-        if actor is not None and size == worlds:
-            return actor, False
-        actor = self._make()
-        self._seats[agent, group] = worlds, actor
-        return actor, True
+        """Return the actor of a seat, and whether it is new."""
+        seat = agent, group, worlds
+        new = seat not in self._seats
+        if new:
+            self._seats[seat] = self._make()
+        return self._seats[seat], new
 
     def _fault(self, what: str, shape: tuple[int, int]) -> np.ndarray:
         if not self._faulty:

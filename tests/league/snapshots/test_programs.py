@@ -13,6 +13,7 @@ import pytest
 import torch
 
 import arenas
+from agents.policy.host_policy import HostPolicy
 from agents.policy.networks import Actor
 from agents.settings import Architecture
 from league import Policy
@@ -288,6 +289,26 @@ def test_memory_restarts_where_an_episode_begins_in_every_seat_of_its_own():
         told = [one(zeros, zeros, np.array(first, bool)).ravel().tolist() for first in steps]
         assert told == [[0, 0, 0], [1, 1, 1], [2, 0, 2], [3, 1, 3]]
         assert other(zeros, zeros, np.ones(3, bool)).ravel().tolist() == [0, 0, 0]
+
+
+def test_what_a_program_remembers_of_its_worlds_outlasts_a_recording_of_other_worlds():
+    """It counts the decisions since an episode began, here in two worlds, and meanwhile in one."""
+    policy, none = HostPolicy(Counter, 1, lambda what: None), np.zeros((2, 1), np.float32)
+    counted = [policy.act("a", 0, none, none, np.array([begins, False])).ravel().tolist() for begins in (1, 0)]
+    assert counted == [[0, 0], [1, 1]]
+    assert policy.act("a", 0, none[:1], none[:1], np.ones(1, bool)).tolist() == [[0]]
+    assert policy.act("a", 0, none, none, np.array([True, False])).ravel().tolist() == [0, 2]
+
+
+class Counter:
+    """A policy whose action is the number of decisions since the episode began."""
+
+    def __init__(self):
+        self._past = np.zeros(0, np.float32)
+
+    def __call__(self, observations, noise, first):
+        self._past = np.where(first, 0, (self._past if len(self._past) else np.zeros(len(first))) + 1)
+        return self._past[:, None].astype(np.float32)
 
 
 def test_one_file_serves_all_agents_or_each_has_its_own(home, tmp_path):
