@@ -41,7 +41,8 @@ import arenas
 from agents.bridge import to_jax
 from agents.policy.jax_policy import PolicyStack, stack_policies
 from agents.policy.networks import Actor
-from agents.rollout.rollout import make_reset, make_rollout, scripts_for
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_rollout, scripts_for
 from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
 from arenas.errors import ArenaError

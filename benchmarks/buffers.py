@@ -37,7 +37,8 @@ import arenas
 from agents.bridge import to_jax
 from agents.policy.jax_policy import PolicyStack, decide, policy_params, stack_policies
 from agents.policy.networks import Actor
-from agents.rollout.rollout import make_reset, make_rollout, scripts_for
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_rollout, scripts_for
 from agents.settings import HappoConfig
 from arenas.arena import Arena
 from arenas.arena_settings import Solver

@@ -18,7 +18,8 @@ from agents.batch import Batch
 from agents.bridge import team_batch, to_jax
 from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import PolicyStack
-from agents.rollout.rollout import Trajectory, Worlds, make_reset, make_rollout
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import Trajectory, Worlds, make_rollout
 from benchmarks.replay import Pair, clocks
 from league.config.experiment import Config
 from league.runtime.bootstrap import players_of

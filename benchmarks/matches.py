@@ -25,7 +25,8 @@ from agents.bridge import to_jax
 from agents.policy import jax_policy
 from agents.policy.jax_policy import Params, PolicyStack, stack_policies
 from agents.policy.networks import Actor
-from agents.rollout.rollout import make_reset, make_rollout, make_stepwise_play, scripts_for
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_rollout, make_stepwise_play, scripts_for
 from arenas.arena import Arena
 from arenas.state import AgentSpec
 from league.config.experiment import default

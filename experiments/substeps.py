@@ -21,7 +21,8 @@ import jax
 import numpy as np
 from jax import Array
 
-from agents.rollout.rollout import make_reset, make_rollout
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_rollout
 from arenas.arena import Arena
 from arenas.games.sumo import stages
 from league.config import experiment as configuration

@@ -48,4 +48,5 @@ def at_command_clock(trajectory: Trajectory, every: int, gamma: float) -> Trajec
         at_fault=end(windows.at_fault), cut=end(windows.cut), age=begin(windows.age),
         whole=(begin(windows.whole[0]), end(windows.whole[1])) if windows.whole else (),
         memories=None, causes=None if windows.causes is None else end(windows.causes),
+        settled=None if windows.settled is None else end(windows.settled),
     )  # fmt: skip

@@ -17,9 +17,6 @@ from arenas.arena import Arena
 from arenas.robots.robot import Script
 from arenas.state import Frames, State, Verdict
 
-CUT_SEED = 0x7FFFFFFF  # folded into the key that also places the robots; an arena may use the small numbers
-
-
 Memory = Mapping[str, Array]  # (N, units) by agent name, for agents with a policy in their stack that remembers
 Events = dict[str, Array]  # (N, teams) bool by name
 Frozen = Mapping[str, np.ndarray]  # (N, obs) bool by agent name: numbers that its policy sees as they were at the start
@@ -31,6 +28,7 @@ class Worlds(NamedTuple):
     state: State
     age: Array  # (N,) int32: decisions taken in the current episode
     left: Array  # (N,) int32: decisions until the first episode of a new world is cut; 0: it is not cut
+    unsettled: Array  # (N,) int32: decisions until episodes that end here are like all others, see `new_worlds`
     memory: Memory | None = None  # hidden states in the current episode, see `with_memory`
     events: Events = {}  # noqa: RUF012  (it has happened to the team in the current episode)
 
@@ -59,6 +57,7 @@ class Trajectory(NamedTuple):
     causes: Array | None = None  # (T, N) uint8, bits of `void_causes.Cause`; None where not recorded
     terms: dict[str, Array] = {}  # noqa: RUF012  ((T, N, teams) parts of `reward` and `shaping`: `reward.result`, ...)
     events: dict[str, Array] = {}  # noqa: RUF012  ((T, N, teams) bool: it has happened in the episode so far)
+    settled: Array | None = None  # (T, N) bool: an episode that ends here is like all others; None: everywhere
 
 
 class CriticObservations(NamedTuple):
@@ -130,11 +129,12 @@ def make_rollout(
                 by_agent(state.alive), by_agent(after.alive), verdict.reward, verdict.shaping, verdict.score,
                 verdict.terminated, verdict.truncated | cut, after.void, after.at_fault, cut, age,
                 (whole(state), whole(after)) if privileged else (), causes=after.causes, terms=_terms(verdict),
-                events=events,
+                events=events, settled=worlds.unsettled == 0,
             )  # fmt: skip
             fresh = jax.vmap(arena.restart)(after, jax.random.split(place_key, number), over)
             left = jnp.where(over, 0, jnp.maximum(worlds.left - 1, 0))
-            return Worlds(fresh, jnp.where(over, 0, age), left, memory, _unless(over, events)), step
+            unsettled = jnp.maximum(worlds.unsettled - 1, 0)
+            return Worlds(fresh, jnp.where(over, 0, age), left, unsettled, memory, unless(over, events)), step
 
         def stretch(worlds: Worlds, moments: tuple[Array, Array]) -> tuple[Worlds, tuple[Memory | None, Trajectory]]:
             after, steps = jax.lax.scan(decision, worlds, moments)
@@ -148,39 +148,7 @@ def make_rollout(
         steps = jax.tree.map(lambda x: x.reshape(length, *x.shape[2:]), steps)
         return worlds, steps._replace(memories=memories)
 
-    return _compiled(rollout, donate_argnums=1)
-
-
-def make_reset(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
-    """Compile `reset(keys (N,)) -> Worlds` of N new worlds.
-
-    Worlds that begin together would end together, and every few iterations a batch would hold little but the ends of
-    episodes. With `stagger` each first episode is cut after a uniformly random number of decisions, up to the longest.
-    """
-
-    def reset(keys: Array) -> Worlds:
-        left = _cuts(arena, keys) if stagger else jnp.zeros(keys.shape[0], jnp.int32)
-        state = jax.vmap(arena.reset)(keys)
-        nothing = jax.tree.map(jnp.zeros_like, state.verdict.events)
-        return Worlds(state, jnp.zeros(keys.shape[0], jnp.int32), left, events=nothing)
-
-    return _compiled(reset)
-
-
-def make_restart(arena: Arena, stagger: bool = True) -> jax.stages.Wrapped:
-    """Compile `restart(worlds, keys (N,), where (N,) bool) -> Worlds`: chosen worlds restart as after `make_reset`.
-
-    It is for worlds whose opponents changed: an episode against two opponents in turn belongs to neither. The episodes
-    under way there are lost. The buffers of `worlds` are donated.
-    """
-
-    def restart(worlds: Worlds, keys: Array, where: Array) -> Worlds:
-        state = jax.vmap(arena.restart)(worlds.state, keys, where)
-        left = _cuts(arena, keys) if stagger else jnp.zeros_like(worlds.left)
-        age, left = jnp.where(where, 0, worlds.age), jnp.where(where, left, worlds.left)
-        return Worlds(state, age, left, worlds.memory, _unless(where, worlds.events))
-
-    return _compiled(restart, donate_argnums=0)
+    return compiled(rollout, donate_argnums=1)
 
 
 def _terms(verdict: Verdict) -> dict[str, Array]:
@@ -191,7 +159,7 @@ def _terms(verdict: Verdict) -> dict[str, Array]:
     return {f"{kind}.{name}": x for kind, terms in kinds if len(terms) > 1 for name, x in terms.items()}
 
 
-def _unless(over: Array, events: Events) -> Events:
+def unless(over: Array, events: Events) -> Events:
     """Return the events of episodes that go on; where the episode is `over` (N,) bool nothing has happened yet."""
     return jax.tree.map(lambda happened: happened & ~over[:, None], events)
 
@@ -244,7 +212,7 @@ def make_play(
         match_state, records = go_on(stacks, begin(stacks, keys), arena.timing.decisions)
         return finish_match(match_state, records)
 
-    return _compiled(play)
+    return compiled(play)
 
 
 def make_stepwise_play(
@@ -265,7 +233,7 @@ def make_stepwise_play(
         after, records = go_on(stacks, match_state, length)
         return after, records, after.state.done.all() | (after.at >= arena.timing.decisions)
 
-    return _compiled(begin), _compiled(stretch, donate_argnums=1)
+    return compiled(begin), compiled(stretch, donate_argnums=1)
 
 
 def finish_match(match_state: MatchState, records: EpisodeRecords) -> PlayedEpisodes:
@@ -343,19 +311,13 @@ def scripts_for(arena: Arena, kind: str) -> dict[str, Script]:
     return {name: kinds[kind] for name, kinds in arena.scripts().items() if kind in kinds}
 
 
-def _compiled(function: Callable, **options: Any) -> jax.stages.Wrapped:
+def compiled(function: Callable, **options: Any) -> jax.stages.Wrapped:
     """Apply `jax.jit` with all inputs on this process's device.
 
     Arrays that came from torch are bound to the device and others are not; without this, JAX recompiles for every
     mix of the two.
     """
     return jax.jit(function, in_shardings=jax.sharding.SingleDeviceSharding(jax.devices()[0]), **options)
-
-
-def _cuts(arena: Arena, keys: Array) -> Array:
-    """Return the decisions (N,) until a first episode is cut, uniform up to the longest episode."""
-    own = jax.vmap(lambda key: jax.random.fold_in(key, CUT_SEED))(keys)
-    return jax.vmap(lambda key: jax.random.randint(key, (), 1, arena.timing.decisions + 1))(own)
 
 
 def _fit_memory(memory: Memory | None, stacks: Mapping[str, PolicyStack], number: int) -> Memory | None:

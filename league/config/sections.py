@@ -115,6 +115,10 @@ class PlayerSettings:
             raise ValueError("team: must name one of the arena's teams")
 
 
+ENOUGH = 1.5
+"""The arena's longest episodes that worlds must run for between two starts: half of them then see one that is whole."""
+
+
 @dataclass(frozen=True)
 class Training:
     """Training of players."""
@@ -157,6 +161,10 @@ class Training:
             raise ValueError(
                 'shaping_until: the dense reward fades by success or over shaping_steps, not both; set one to "none"'
             )
+
+    def outlasts(self, decisions: int) -> bool:
+        """Return whether worlds that begin anew every turn can play episodes of so many decisions to their end."""
+        return self.iterations_per_turn * self.rollout_length >= ENOUGH * decisions
 
     @property
     def shaping_duration(self) -> int:

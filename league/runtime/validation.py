@@ -12,7 +12,7 @@ from league.config.build import build as build_config
 from league.config.experiment import Config
 from league.config.flags import check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
-from league.config.sections import PlayerSettings, mains, named_players
+from league.config.sections import ENOUGH, PlayerSettings, mains, named_players
 from league.state.team_exchange import as_made
 from league.system import devices, memory
 from league.system.arena_build import build, rating_batch, worlds
@@ -89,7 +89,7 @@ def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
             span, mend = -(-schedule.period_steps // worlds), f"schedule.period_steps = {enough * rollout * worlds}"
     else:
         return []
-    if span >= 1.5 * decisions:
+    if span >= ENOUGH * decisions:
         return []
     return [
         f"{what}, after {span:,} decisions, and a game may have {decisions:,}: players hardly learn how games end by"

@@ -64,21 +64,25 @@ def _read(
 
 
 def episode_scores(points: Sequence[CurvePoint]) -> list[tuple[float, float]]:
-    """Return (number of episodes that ended, their mean score) for each iteration in which any ended."""
-    return [(p.values["episodes"], p.values["score"]) for p in points if "score" in p.values]
+    """Return (number of episodes that count, their mean score) for each iteration in which any ended."""
+    return [(_counted(p.values), p.values["score"]) for p in points if "score" in p.values]
+
+
+def _counted(values: Mapping[str, float]) -> float:
+    """Return the episodes of which a score is; in curves of earlier versions all that ended."""
+    return values.get("counted", values["episodes"])
 
 
 def _averages(points: Sequence[CurvePoint], recent: int) -> tuple[float | None, float | None]:
     """Return reward per episode and share of successes over the last `recent` iterations of training.
 
-    There is a reward with that many iterations and an ended episode, a share with ENOUGH of them: first episodes that
-    end at once are successes.
+    There is a reward with that many iterations and an episode that counts, a share with ENOUGH of these.
     """
     ended = [p.values for p in points if "length" in p.values]
     if not recent or len(points) < recent or not ended:
         return None, None
     length = sum(p["length"] for p in ended) / len(ended)
     reward = sum(p.values["reward"] for p in points) / len(points) * length
-    counted = [(p["episodes"], p["score"]) for p in ended if {"episodes", "score"} <= p.keys()]
+    counted = [(_counted(p), p["score"]) for p in ended if {"episodes", "score"} <= p.keys()]
     episodes = sum(n for n, _ in counted)
     return reward, sum(n * score for n, score in counted) / episodes if episodes >= ENOUGH else None

@@ -36,13 +36,13 @@ class SuccessAnnealing:
     weight: float = 1.0
 
     def note(self, figures: Mapping[str, float]) -> None:
-        """Update the weight with an iteration's `episodes` and mean `score`, see `agents.rollout.metrics.outcomes`.
+        """Update the weight with an iteration's `counted` episodes and mean `score`, see `agents.rollout.metrics`.
 
         The running score begins at the chance score, so that a few lucky first episodes change little.
         """
-        if not figures["episodes"]:
+        if not figures["counted"]:
             return
-        share = min(1.0, figures["episodes"] / EPISODES)
+        share = min(1.0, figures["counted"] / EPISODES)
         self.score += share * (figures["score"] - self.score)
         left = (self.until - self.score) / (self.until - self.chance_score)
         self.weight = max(0.0, min(self.weight, left))

@@ -2,7 +2,8 @@
 
 from typing import NamedTuple
 
-from agents.rollout.rollout import make_reset, make_restart, make_rollout
+from agents.rollout.new_worlds import make_reset, make_restart
+from agents.rollout.rollout import make_rollout
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.system.compiled import Compiled
@@ -13,13 +14,17 @@ class _Setting(NamedTuple):
 
     rollout: int  # decisions
     stagger: bool
+    settle: bool  # episodes of new worlds do not count at first: those that end first are the short ones
     sequence: int | None  # decisions of a chunk of recurrent learning
     privileged: bool
 
     @classmethod
-    def of(cls, config: Config) -> "_Setting":
+    def of(cls, config: Config, arena: Arena) -> "_Setting":
         training, learner = config.training, config.learner
-        return cls(training.rollout_length, training.stagger, learner.sequence, learner.critic_input == "privileged")
+        # In a deterministic league worlds begin anew every turn; of short turns no episode would ever count.
+        settle = training.stagger and (not config.deterministic or training.outlasts(arena.timing.decisions))
+        privileged = learner.critic_input == "privileged"
+        return cls(training.rollout_length, training.stagger, settle, learner.sequence, privileged)
 
 
 class TrainingPrograms:
@@ -31,11 +36,11 @@ class TrainingPrograms:
 
     def __init__(self, config: Config, arena: Arena):
         arena.engine.compile_ahead()  # while learners are made and programs are traced
-        self.arena, self._setting = arena, _Setting.of(config)
-        rollout, stagger, sequence, privileged = self._setting
-        self.reset, self.restart = make_reset(arena, stagger), make_restart(arena, stagger)
+        self.arena, self._setting = arena, _Setting.of(config, arena)
+        rollout, stagger, settle, sequence, privileged = self._setting
+        self.reset, self.restart = make_reset(arena, stagger, settle), make_restart(arena, stagger, settle)
         self.rollout = Compiled(make_rollout(arena, rollout, sequence, privileged), arena)
 
     def fit(self, config: Config, arena: Arena) -> bool:
         """Return whether programs made for these settings and this arena would be the same."""
-        return self.arena is arena and self._setting == _Setting.of(config)
+        return self.arena is arena and self._setting == _Setting.of(config, arena)

@@ -10,7 +10,8 @@ from agents.bridge import team_batch, to_jax
 from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import stack_policies
 from agents.rollout.metrics import rollout_metrics
-from agents.rollout.rollout import make_play, make_reset, make_rollout, scripts_for
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_play, make_rollout, scripts_for
 from agents.settings import Architecture, HappoConfig
 
 

@@ -13,7 +13,8 @@ from agents.bridge import common_critic_size, team_batch, to_jax
 from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import stack_policies
 from agents.rollout.metrics import rollout_metrics
-from agents.rollout.rollout import make_reset, make_rollout, scripts_for
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_rollout, scripts_for
 from agents.settings import Architecture, HappoConfig
 
 XOR = torch.tensor([[0.0, 1.0], [1.0, 0.0]])  # one of two robots shall go, and only one

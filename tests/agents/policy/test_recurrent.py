@@ -13,7 +13,8 @@ from agents.batch import clean
 from agents.bridge import team_batch, to_jax
 from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import PolicyStack, decide, memory_size, policy_params, stack_policies, update_memory
-from agents.rollout.rollout import Trajectory, Worlds, make_play, make_reset, make_restart, make_rollout, with_memory
+from agents.rollout.new_worlds import make_reset, make_restart
+from agents.rollout.rollout import Trajectory, Worlds, make_play, make_rollout, with_memory
 from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
 from tests.agents.memories import cell_of, evaluate_sequence, scrambled

@@ -20,11 +20,11 @@ from agents.policy.networks import Actor
 from agents.policy.skill_arrays import Skill, skill_arrays
 from agents.rollout.command_clock import at_command_clock
 from agents.rollout.metrics import rollout_metrics
+from agents.rollout.new_worlds import make_reset
 from agents.rollout.rollout import (
     Trajectory,
     Worlds,
     make_play,
-    make_reset,
     make_rollout,
     scripts_for,
     with_memory,

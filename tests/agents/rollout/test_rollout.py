@@ -11,7 +11,8 @@ import torch
 from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import PolicyStack, policy_params, stack_policies
 from agents.policy.networks import Actor
-from agents.rollout.rollout import PlayedEpisodes, Trajectory, Worlds, make_play, make_reset, scripts_for
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import PlayedEpisodes, Trajectory, Worlds, make_play, scripts_for
 from agents.settings import Architecture, HappoConfig
 from arenas.arena import Arena
 

@@ -9,8 +9,9 @@ from agents.bridge import team_batch, to_jax
 from agents.errors import Diverged
 from agents.learner.happo import HappoLearner
 from agents.policy.jax_policy import stack_policies
-from agents.rollout.metrics import rollout_metrics
-from agents.rollout.rollout import Trajectory, make_reset, make_restart, scripts_for
+from agents.rollout.metrics import episode_results, rollout_metrics
+from agents.rollout.new_worlds import make_reset, make_restart
+from agents.rollout.rollout import Trajectory, scripts_for
 from agents.settings import Architecture, HappoConfig
 from arenas.physics.void_causes import Cause
 
@@ -68,6 +69,19 @@ def test_first_episodes_are_cut_at_decisions_spread_evenly_and_no_later_ones(sho
     assert trajectory.truncated[trajectory.cut].all()
     assert not (trajectory.terminated | trajectory.void)[trajectory.cut].any()
     assert (after.left == 0).all()
+
+
+def test_episodes_count_once_their_world_has_run_for_the_longest(short_sumo, reset, collect):
+    longest = short_sumo.timing.decisions
+    worlds, trajectory = collect(reset(KEYS), "idle")
+    assert len(trajectory.settled) > longest
+    assert not trajectory.settled[:longest].any()
+    assert trajectory.settled[longest:].all()
+    assert not trajectory.cut[longest:].any()
+    where = np.arange(N) % 3 == 0
+    fresh = make_restart(short_sumo)(jax.tree.map(jnp.asarray, worlds), KEYS, jnp.asarray(where))
+    np.testing.assert_array_equal(fresh.unsettled, np.where(where, longest, 0))
+    assert not make_reset(short_sumo, settle=False)(KEYS).unsettled.any()
 
 
 def test_the_age_of_an_episode_counts_its_decisions(short_sumo, reset, collect):
@@ -145,7 +159,7 @@ def by_hand() -> Trajectory:
 
 @pytest.mark.parametrize("worlds", [slice(0, 2), np.array([1, 0])])
 def test_figures_count_whole_episodes_and_decisions_that_were_not_void(worlds):
-    common = {"episodes": 2, "voids": 1, "shaping": 0.25, "length": 4.5}
+    common = {"episodes": 2, "counted": 2, "voids": 1, "shaping": 0.25, "length": 4.5}
     assert rollout_metrics(by_hand(), 0, worlds) == {
         **common,
         "own_voids": 0,
@@ -186,6 +200,18 @@ def test_terms_are_means_over_decisions_and_events_shares_of_episodes():
         assert figures == rollout_metrics(by_hand(), team, slice(0, 2)) | terms | events
 
 
+def test_scores_lengths_and_events_are_of_episodes_that_ended_in_settled_worlds():
+    settled = np.ones((4, 3), bool)
+    settled[:3, 1] = False  # the draw of world 1, and what it made void
+    games = by_hand()._replace(settled=settled, events={"goal": np.ones((4, 3, 2), bool)})
+    figures = rollout_metrics(games, 0, slice(0, 2))
+    assert [figures[name] for name in ("episodes", "counted", "voids")] == [2, 1, 1]
+    assert [figures[name] for name in ("score", "length", "event.goal")] == [1.0, 2.0, 1.0]
+    results = episode_results(games, 0, groups=3)
+    assert results[:2, 1].tolist() == [[1, 0, 0, 0], [0, 0, 0, 0]]
+    assert episode_results(games._replace(settled=None), 0, groups=3)[1, 1].tolist() == [0, 1, 0, 1]
+
+
 def test_where_no_episode_ended_there_is_no_score():
     figures = rollout_metrics(by_hand()._replace(terminated=np.zeros((4, 3), bool)), 0, slice(0, 1))
-    assert figures == {"episodes": 0, "voids": 0, "own_voids": 0, "reward": 0.25, "shaping": 0.25}
+    assert figures == {"episodes": 0, "counted": 0, "voids": 0, "own_voids": 0, "reward": 0.25, "shaping": 0.25}

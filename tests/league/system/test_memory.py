@@ -10,7 +10,8 @@ import pytest
 
 import arenas
 from agents.policy.jax_policy import stack_policies
-from agents.rollout.rollout import make_reset, make_rollout
+from agents.rollout.new_worlds import make_reset
+from agents.rollout.rollout import make_rollout
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
 from league.runtime.validation import validate

@@ -20,7 +20,7 @@ PENNIES = arenas.settings("matching-pennies")
 
 
 def figures(episodes: int, score: float) -> dict[str, float]:
-    return {"episodes": episodes} | ({"score": score} if episodes else {})
+    return {"counted": episodes} | ({"score": score} if episodes else {})
 
 
 def test_over_steps_it_falls_linearly_by_default_over_half_a_million():
