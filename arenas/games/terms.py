@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from arenas.arena_settings import Table
 
@@ -74,6 +74,14 @@ class RewardTerms:
     terms: Table = field(default_factory=Table, kw_only=True, metadata={"valid": check_reward_terms})
     """Terms of your own, which are added or replace those of their names: name = "file.py:function", or {function =
     "file.py:function", weight = 0.5, shaping = true}, where shaping is annealed like the dense reward."""
+
+    ENDINGS: ClassVar[tuple[str, ...]] = ()
+    """Names of the weights that an episode's end may cost a team."""
+
+    @property
+    def worst_ending(self) -> float:
+        """Cost of an episode's worst end to a team, at least 1: breaking the physics must cost no less."""
+        return max([1.0, *(abs(getattr(self, name)) for name in self.ENDINGS)])
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from agents.rollout.rollout import Trajectory
 from agents.settings import HAPPO, HappoConfig, SkillSettings
 from arenas.arena import Arena
 from arenas.arena_settings import Table
+from arenas.games.terms import RewardTerms
 from arenas.state import TeamSpec
 from league.config.experiment import Config
 from league.config.sections import named_players
@@ -129,10 +130,16 @@ def batch_of(
     sees = config.learner.critic_input
     team, every = (arena.teams[player.team], 1) if skills is None else (skills.team, config.learner.skill.clock)
     return team_batch(
-        trajectory, team, player.team, worlds, shaping,
+        trajectory, team, player.team, worlds, shaping, void_penalty(config),
         others=others(config, arena, player.team), privileged=sees == "privileged",
         common=arena.teams if sees == "same" else (), critic_memories=critic_memories, every=every, gamma=gamma,
     )  # fmt: skip
+
+
+def void_penalty(config: Config) -> float:
+    """Return what it costs a team to break the physics of its own robots: as much as the worst end of an episode."""
+    reward = getattr(config.arena, "reward", None)  # settings of an arena of your own need not have one
+    return reward.worst_ending if isinstance(reward, RewardTerms) else 1.0
 
 
 def others(config: Config, arena: Arena, team: int) -> list[TeamSpec]:

@@ -121,6 +121,8 @@ class KickAndDefendRules(ContestRules):
 class ContestReward(RewardTerms):
     """Rewards of all these games, which shape learning and never decide a game."""
 
+    ENDINGS = ("result", "draw")
+
     result: float = field(default=1.0, metadata={"above": 0.0})
     """To the winner, and from the loser."""
     draw: float = -1.0

@@ -110,6 +110,8 @@ class GalagaRules:
 class GalagaReward(RewardTerms):
     """Weights of the reward's terms; `aim` and `approach` are shaping that training.shaping_steps anneals."""
 
+    ENDINGS = ("loss",)
+
     hit: float = 1.0
     """To the tanks, once for each drone that dies (HARL-A: 1; in 2v2 200, in every control step)."""
     goal: float = 1.0

@@ -119,6 +119,8 @@ class FlyRules:
 class FlyReward(RewardTerms):
     """Weights of the reward's terms; none is annealed."""
 
+    ENDINGS = ("crash",)
+
     reached: float = 5.0
     """Once, when it is at its goal."""
     crash: float = -5.0

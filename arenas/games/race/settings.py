@@ -47,6 +47,8 @@ class RaceRules:
 class RaceReward(RewardTerms):
     """Rewards, which shape learning and never decide a race."""
 
+    ENDINGS = ("death",)
+
     first: float = 10.0
     """For each gate, to the drone that passes it first."""
     later: float = 5.0

@@ -47,6 +47,8 @@ class RewardDefects:
 class SoccerReward(RewardTerms):
     """Weights of the reward's terms; `ball`, `approach` and `push` are shaping that training.shaping_steps anneals."""
 
+    ENDINGS = ("concede",)
+
     goal: float = 20.0
     """Once, for the winning team: by a goal, or by a fall if that loses."""
     concede: float = -20.0

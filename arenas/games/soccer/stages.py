@@ -67,6 +67,8 @@ class DrillRules(PitchRules):
 class DrillReward(RewardTerms):
     """Weights of the reward's terms; `approach` and `push` are shaping that training.shaping_steps anneals."""
 
+    ENDINGS = ("wrong", "fall")
+
     reached: float = 0.0
     """Once, when the robot is at the ball and that ends the episode (not in HARL-A)."""
     goal: float = 0.0

@@ -47,6 +47,8 @@ in one of a thousand steps (experiments/notes/speed.md).
 class SumoReward(RewardTerms):
     """Rewards, which shape learning and never decide a match."""
 
+    ENDINGS = ("scale",)
+
     scale: float = field(default=1.0, metadata={"above": 0.0})
     """Reward for a win, and cost of a loss; the paper's is 10."""
     timeout_penalty: float = field(default=0.5, metadata={"low": 0.0})

@@ -44,6 +44,8 @@ class WalkRules:
 class WalkReward(RewardTerms):
     """Weights of the reward's terms. The paper's are in `PAPER_WALK`; none of them is annealed."""
 
+    ENDINGS = ("fall",)
+
     reached: float = 10.0
     """Once, when the goal is reached."""
     fall: float = -2.0
@@ -167,6 +169,8 @@ class BlockPushRules:
 @dataclass(frozen=True)
 class BlockPushReward(RewardTerms):
     """Weights of HARL-A's reward terms; `approach` and `push` are shaping that training.shaping_steps anneals."""
+
+    ENDINGS = ("robot_out",)
 
     block_out: float = 10.0
     """Once, when the team's own block is out of the ring."""
