@@ -77,6 +77,7 @@ def test_the_arena_of_the_page_keeps_its_contract(tmp_path, monkeypatch, capsys)
     assert out.count("ok  ") == 27
 
 
+@pytest.mark.slow
 def test_the_page_plays_with_other_robots_and_its_setting_reaches_the_rules(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     monkeypatch.chdir(tmp_path)

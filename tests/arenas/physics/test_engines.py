@@ -89,6 +89,7 @@ def assert_same_motion(one, other, derived):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=TOLERANCE[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_mjx_moves_as_c_does(reference):
     assert_same_motion(motion(engine("jax", KINEMATICS)), reference, KINEMATICS)
 

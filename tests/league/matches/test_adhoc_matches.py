@@ -213,6 +213,7 @@ def pucks(tmp_path_factory):
     return league(tmp_path_factory.mktemp("pucks") / "pucks", arenas.settings("tag"))
 
 
+@pytest.mark.slow
 def test_an_exhibition_of_three_ranks_them_and_records_each_seating_in_a_match_of_its_own(pucks, capsys):
     asked = ("tagger", "idle", "chaser", "--episodes", "6", "--record", "2", "--store", str(pucks))
     code, out, _ = said(capsys, "play", *asked)

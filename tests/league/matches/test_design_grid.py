@@ -49,6 +49,7 @@ def test_a_choice_has_a_cell_for_each_of_its_names():
     assert summarise(found.returns, found.labels).where in found.labels
 
 
+@pytest.mark.slow
 def test_a_cell_is_played_with_its_masses_from_the_same_seeds(arena):
     found = play_grid(arena, None, idle(arena), POINTS, EPISODES, seed=3)
     np.testing.assert_allclose(found.values, [[0.5, 0.5], [0.5, 8.0], [2.0, 0.5], [2.0, 8.0]])

@@ -63,6 +63,7 @@ def test_an_arena_that_does_not_say_which_numbers_are_the_opponents_is_refused_i
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.slow
 def test_a_victim_that_needs_to_see_its_opponent_wins_less_without(tmp_path):
     config = presets.preset("duel")
     config = replace(config, rating=replace(config.rating, record=False))

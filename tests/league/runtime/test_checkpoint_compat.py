@@ -42,6 +42,7 @@ def test_networks_that_a_player_does_not_have_are_refused_before_anything_is_wri
             assert bool(warm_start.of(store, [blue], ("main",), sees)["blue"].critic) == goes_on
 
 
+@pytest.mark.slow
 def test_a_policy_of_other_networks_to_start_from_is_refused_where_there_is_no_store_yet(tmp_path):
     refused = call("run", "--arena.name", "anymal-walk", "--after", "anymal-walk", "--steps", "512", cwd=tmp_path)
     assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (2, "", 1)

@@ -61,6 +61,7 @@ def learner(store: Store) -> int | None:
     return next((worker.pid for worker in store.workers("tiny", 5) if worker.kinds == "train"), None)
 
 
+@pytest.mark.slow
 def test_it_is_the_train_worker_a_spawned_one_replaces_it_and_both_end_with_the_manager(tmp_path):
     manager = start("run", *GAME, cwd=tmp_path)
     try:
@@ -125,6 +126,7 @@ def test_nobody_stands_by_for_several_devices_even_of_one_stage_or_for_another_p
         assert preparing(os.getpid()) == []
 
 
+@pytest.mark.slow
 def test_who_has_checked_a_curriculum_prepares_its_first_stage_and_works_for_that(tmp_path):
     config = configuration.loads(f'league = "tiny"\narena.name = "rock-paper-scissors"\n{STAGES}')
     first = configuration.stage(config, 0)

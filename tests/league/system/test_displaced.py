@@ -92,6 +92,7 @@ def test_a_distribution_that_overwrote_a_package_of_ours_is_named(tmp_path):
     assert str(tmp_path / "storage" / "__init__.py") in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "order", ["from agents import Agent\nimport league", "import league\nfrom agents import Agent"]
 )

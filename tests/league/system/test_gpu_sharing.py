@@ -156,6 +156,7 @@ def test_training_goes_on_where_a_stretch_hangs(tmp_path, monkeypatch):
         pass  # another GPU, none, and a folder that is not there: nothing is waited for
 
 
+@pytest.mark.slow
 @pytest.mark.optimised
 def test_a_match_in_stretches_is_the_match_at_once_and_ends_with_its_last_episode():
     arena = arenas.load(f"{ROOT / 'tests' / 'arenas' / 'race.py'}:race", engine="c", worlds=16, threads=1)

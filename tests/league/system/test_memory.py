@@ -63,6 +63,7 @@ def test_errors_that_say_so_are_known(error, short):
     assert memory.is_short(error) == short
 
 
+@pytest.mark.slow
 def test_what_a_rollout_needs_grows_with_its_worlds_by_xlas_own_count():
     arena = arenas.settings("matching-pennies").build()
     rollout = Compiled(make_rollout(arena, 16), arena)

@@ -161,6 +161,7 @@ class Mine:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_network_of_another_kind_is_kept_as_a_program_and_plays(store, game, tmp_path):
     config = of(written(tmp_path, PROGRAMS), ROCK)

@@ -114,6 +114,7 @@ class CriticObservations:
         return noting
 
 
+@pytest.mark.slow
 def test_critics_go_on_from_what_they_remembered_until_others_sit_down(store, arena, monkeypatch):
     seen = CriticObservations(monkeypatch)
     config = settings(
@@ -231,6 +232,7 @@ def test_players_go_on_from_players_that_remember_and_from_no_others(store, aren
             )
 
 
+@pytest.mark.slow
 def test_in_ladder_those_that_rest_take_over_an_actor_that_remembers(store, arena):
     config = settings(Schedule("ladder", period=2))
     turns(store, replace(config, learner=replace(config.learner, critic_input="all")), arena, 3)

@@ -176,6 +176,7 @@ def test_any_learner_commands_skills(store, arena):
     assert "0/skill.0.mean.weight" in newest
 
 
+@pytest.mark.slow
 def test_a_strategy_and_its_skill_become_one_network(store, arena, tmp_path):
     """The learner of docs/examples/distil.py imitates the TorchScript file of a policy over skills."""
     frozen = arrays.from_bytes(new_trainer(settings(), arena, store).pool.freeze("blue"))
@@ -197,6 +198,7 @@ def test_a_strategy_and_its_skill_become_one_network(store, arena, tmp_path):
         assert not any(name.startswith("0/skill.") for name in student)
 
 
+@pytest.mark.slow
 def test_a_league_begins_with_the_strategies_of_another(store, arena, tmp_path):
     turns(store, settings(), arena, 2)
     trained = arrays.from_bytes(store.blobs.get(store.snapshots(LEAGUE, "blue")[-1].digest))

@@ -216,6 +216,7 @@ def test_most_worlds_go_on_where_opponents_stay_for_some_episodes(duel_store, du
     assert np.mean(shares[2:]) < 0.3  # the next test, whose turns draw anew, has more than 0.4
 
 
+@pytest.mark.slow
 def test_worlds_whose_opponent_changed_begin_anew_and_it_is_counted(duel_store, duel):
     config = lively(Opponents("uniform", past=0.5, groups=4, episodes=0))
     trainer = turns(duel_store, config, duel, 6)  # to iterations 1, 2, 4, 8, 12

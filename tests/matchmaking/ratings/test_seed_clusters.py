@@ -111,6 +111,7 @@ def test_a_snapshot_in_two_seats_counts_once_in_its_cluster():
     assert fit(sum_matches(log), prior=0).stderr == pytest.approx(once.stderr, rel=0.02)
 
 
+@pytest.mark.slow
 def test_intervals_of_games_that_share_seeds_hold_the_truth_at_the_nominal_rate():
     """A small part of experiments/rankings.py, which has the figures of more leagues."""
     rng, inside, ignoring = np.random.default_rng(2), [], []

@@ -46,6 +46,7 @@ def every_condition(games) -> tuple[np.ndarray, list[int]]:
     return np.array(rows), orders
 
 
+@pytest.mark.slow
 def test_ties_have_a_bound_exactly_where_all_conditions_together_say_so():
     from scipy.optimize import linprog
 
@@ -93,6 +94,7 @@ def test_among_many_players_too_no_rating_is_known_where_all_games_were_ties():
     assert set(found.ratings) == {"both"}
 
 
+@pytest.mark.slow
 def test_rankings_of_two_tell_what_games_of_two_tell():
     rng, names, unlike = np.random.default_rng(1), ("a", "b", "c", "d"), 0
     for _ in range(100):

@@ -75,6 +75,7 @@ def test_choix_says_the_same(match, seed):
     assert ours.elo / ELO == pytest.approx(theirs - theirs.mean(), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_intervals_cover_at_the_nominal_rate_without_a_prior(simulate):
     """1,000 leagues of five players, pooled over players; the differences to the anchor are covered."""
     theta, rng = np.array([0.0, -0.8, -0.3, 0.4, 0.9]), np.random.default_rng(0)

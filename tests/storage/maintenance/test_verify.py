@@ -264,6 +264,7 @@ def cases(number: int) -> Iterator[random.Random]:
         yield random.Random(seed)
 
 
+@pytest.mark.slow
 def test_flipped_bits_anywhere_in_the_database_are_survived(folder: Path, tmp_path: Path):
     data = (folder / "league.db").read_bytes()
     unnoticed, refused = [], []

@@ -25,6 +25,7 @@ def ran(capsys, *args):
     return end.value.code, out, err
 
 
+@pytest.mark.slow
 def test_a_model_is_tried_drawn_and_written(capsys, model, tmp_path):
     picture = tmp_path / "bot.png"
     code, out, _ = ran(capsys, "bot.xml", "--control", "position", "--shot", picture)

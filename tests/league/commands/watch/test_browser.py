@@ -119,6 +119,7 @@ def arrow_to(chooser, name: str) -> None:
     expect(chooser).to_have_value(name)
 
 
+@pytest.mark.slow
 def test_a_pair_is_chosen_by_keyboard_and_its_match_copied(seen, folder):
     seen.context.grant_permissions(["clipboard-read", "clipboard-write"])
     seen.show("Payoff")

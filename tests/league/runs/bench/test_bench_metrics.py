@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from dashboards.web.document import document
 from league.runs.bench import attackers, bench_page, entry_file, metrics, references, rerating
 from league.runs.bench.games import batch_seed, match_of
@@ -161,6 +163,7 @@ def test_a_set_of_references_is_kept_while_it_only_grows(tmp_path, monkeypatch):
     assert "former" not in listed
 
 
+@pytest.mark.slow
 def test_the_entries_of_the_repository_are_what_their_rows_give():
     entries = entry_file.folder(ROOT / "benchmarks" / "entries")
     assert rerating.of_folder(entries) == {path: [] for path in entries}

@@ -124,6 +124,7 @@ def two_a_side(**changes):
     return replace(rovers("quickstart"), after=("duel",), after_parts=("*", *RENAMED), **changes)
 
 
+@pytest.mark.slow
 def test_a_policy_acts_at_first_as_where_it_learnt_whatever_is_new_to_it(learnt, arena_of):
     config, arena, home = two_a_side(), arena_of["quickstart"], arena_of["duel"]
     players = players_of(config, arena)

@@ -36,6 +36,7 @@ def run(folder, name: str, start: str):
     return call("run", str(folder / "next.toml"), *BODILESS, *flags, "--store", str(folder / "league-data"), cwd=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", ['after = ["tiny"]', ""], ids=["beside the league's", "alone"])
 def test_each_player_starts_from_its_own(copied_league, tmp_path, start):
     name = "next" if start else "alone"
