@@ -41,7 +41,8 @@ class Batch(NamedTuple):
     first: Sequence[Tensor] = ()  # one tensor, (T, N) bool: an episode began with this decision
     memories: Sequence[Tensor] = ()  # (T / chunk, N, units or more) hidden state of each actor before each chunk
     critic_memories: Sequence[Tensor] = ()  # (N, units) hidden state of each critic at first; empty: new worlds
-    steps: int | None = None  # environment steps of the iteration, of which these may be a part; None: T·N of each rank
+    # Environment steps of the iteration, of which these decisions may be a part: one tensor () int; empty: just these.
+    steps: Sequence[Tensor] = ()
 
 
 class Normalised(NamedTuple):

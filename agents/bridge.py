@@ -45,6 +45,7 @@ def team_batch(
     critic_memories: CriticMemories = (),
     every: int = 1,
     gamma: float = 1.0,
+    steps: int | None = None,
 ) -> Batch:
     """Return a team's part of a trajectory.
 
@@ -65,6 +66,7 @@ def team_batch(
         critic_memories: hidden states (all worlds, units) of recurrent critics before the trajectory; empty if unknown.
         every: decisions for which its policies hold a command (`at_command_clock`).
         gamma: discount factor of rewards within a command, per decision.
+        steps: environment steps of the iteration, over all worlds and ranks; None: those of this batch on each rank.
     """
     names = {agent.name for t in (team, *others, *common) for agent in t.agents}
     trajectory = select_worlds(select_agents(trajectory, names, privileged), worlds)
@@ -92,6 +94,7 @@ def team_batch(
         critic_views,
         *_recurrent_inputs(trajectory, team),
         [memory[worlds] for memory in critic_memories],
+        () if steps is None else (torch.tensor(steps),),
     )
 
 

@@ -193,7 +193,7 @@ class HappoLearner(LearnerState):
         """Count environment steps if learning rates decay; return the learning rate if it varies."""
         c = self.config
         if c.lr_decay_steps:
-            self.steps += batch.rewards.numel() * self.comm.size if batch.steps is None else batch.steps
+            self.steps += batch.steps[0].item() if batch.steps else batch.rewards.numel() * self.comm.size
         rates = [actor.lr for actor in self.actor_learners if actor.optimizer and (c.lr_decay_steps or c.desired_kl)]
         return {"lr": torch.stack(rates).mean().item() * lr_factor} if rates else {}
 

@@ -121,7 +121,7 @@ def reset_learner(
 def batch_of(
     config: Config, arena: Arena, player: Player, trajectory: Trajectory, worlds: slice | np.ndarray = slice(None),
     shaping: float = 0.0, critic_memories: CriticMemories = (), skills: TeamSkills | None = None,
-    gamma: float = 1.0,
+    gamma: float = 1.0, steps: int | None = None,
 ) -> Batch:  # fmt: skip
     """Return a player's part of a trajectory with the critic input that the settings choose; see `team_batch`.
 
@@ -133,6 +133,7 @@ def batch_of(
         trajectory, team, player.team, worlds, shaping, void_penalty(config),
         others=others(config, arena, player.team), privileged=sees == "privileged",
         common=arena.teams if sees == "same" else (), critic_memories=critic_memories, every=every, gamma=gamma,
+        steps=steps,
     )  # fmt: skip
 
 

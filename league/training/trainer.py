@@ -258,7 +258,8 @@ class Trainer:
         return batch_of(
             self.config, self.arena, self.pool.players[name], trajectory, matchups.worlds_of(name),
             self.pool.shaping(name), self._critic_memories.get(name, ()), self.pool.skills[name], self.pool.gamma(name),
-        )._replace(steps=self._steps(matchups))  # fmt: skip
+            self._steps(matchups),
+        )  # fmt: skip
 
     def _steps(self, matchups: Matchups) -> int:
         """Return the environment steps of an iteration, those in other players' groups of worlds included."""

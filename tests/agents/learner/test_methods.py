@@ -144,7 +144,9 @@ def test_step_sizes_fall_to_nothing_over_the_steps_learnt_from(experience, same)
     assert same([before[k] for k in weights], [learner.save()[k] for k in weights])
 
     part = new_learner(replace(FULL, lr_decay_steps=4 * 48))  # from a part of the worlds, the steps of all count
-    assert [part.learn(batch._replace(steps=96))["lr"] for batch in batches[:2]] == pytest.approx([0.02, 0.01])
+    assert [part.learn(batch._replace(steps=(torch.tensor(96),)))["lr"] for batch in batches[:2]] == pytest.approx(
+        [0.02, 0.01]
+    )
 
     half = new_learner(replace(FULL, lr_decay_steps=2 * 48))
     constant = new_learner(replace(FULL, lr=0.01, critic_lr=0.025))
