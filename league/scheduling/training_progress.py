@@ -198,9 +198,10 @@ def why(budget: Budget, quota: int, state: LeagueState, player: Player) -> str |
     asked = budget.success if state.one_team else budget.score
     if asked is not None and top.score.low > asked:
         return str(top)
-    later = sum(each.snapshot.iteration > top.snapshot.iteration for each in found)
-    if budget.plateau is not None and top.score.low > HALF and later >= budget.plateau:
-        return f"{top}, and none of the {later} snapshots after it is better"
+    first = max(found, key=lambda each: each.score.low)  # the oldest of equal ones: those after it are no better
+    later = sum(each.snapshot.iteration > first.snapshot.iteration for each in found)
+    if budget.plateau is not None and first.score.low > HALF and later >= budget.plateau:
+        return f"{first}, and none of the {later} snapshots after it is better"
     return None
 
 

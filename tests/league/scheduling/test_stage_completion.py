@@ -89,6 +89,7 @@ BUDGET = Budget(score=0.8, plateau=3, steps=10**9)
         ({1: 0.6, 2: 0.7, 4: 0.69, 8: 0.7}, None),
         ({1: 0.6, 2: 0.7, 4: 0.69, 8: 0.6, 16: 0.68}, "blue@2 scores 70 % (65-74 %) against its initial snapshot, and"),
         ({1: 0.6, 2: 0.7, 4: 0.69, 8: 0.6, 16: 0.72}, None),  # better again
+        ({1: 0.6, 2: 0.7, 4: 0.7, 8: 0.6, 16: 0.7}, "blue@2 scores 70 % (65-74 %) against its initial snapshot, and"),
     ],
 )
 def test_a_player_has_learnt_when_it_surely_scores_or_gets_no_better(won, told):
@@ -96,6 +97,16 @@ def test_a_player_has_learnt_when_it_surely_scores_or_gets_no_better(won, told):
     found = why(BUDGET, 128, state, blue)
     assert found is None if told is None else found is not None and found.startswith(told)
     assert why(Budget(steps=10**9), 128, state, blue) is None
+
+
+def test_a_player_that_always_wins_reaches_a_plateau_and_hands_its_newest_state_on():
+    state = after(played({1: 0.6, 2: 1.0, 4: 1.0, 8: 1.0, 16: 1.0, 32: 1.0}))
+    found = why(Budget(plateau=4), 128, state, PLAYERS[0])
+    assert found is not None
+    assert found.startswith("blue@2 scores 100 %")
+    assert found.endswith("and none of the 4 snapshots after it is better")
+    assert why(Budget(plateau=5), 128, state, PLAYERS[0]) is None
+    assert handed_on(state, "blue") is None
 
 
 def against_script(won: dict[int, float]) -> list[Match]:
