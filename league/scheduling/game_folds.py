@@ -91,7 +91,7 @@ class QualityFold(Fold):
         super().__init__(parts)
         self._known = Qualities(rate)
         self._turn: list[Game] = []  # the last one
-        self._names: Sequence[str] = ()  # of all snapshots that may have been met
+        self._names: Sequence[str] = ()  # of all snapshots that may have been met, in order of creation
         self._pool = 0  # the largest of a turn: as many of the names have been read
         self._past: set[str] = set()
         self._met = set[str](), set[str]()  # opponents that were not among the names, and those that were
@@ -145,7 +145,10 @@ def win_records(
 def quality_scores(
     games: TrainingGames, player: str, parts: Sequence[Part], names: Sequence[str], rate: float
 ) -> np.ndarray:
-    """(n,) Return the qualities after all games of those parts; `names` as for `opponent_sampling.qualities`."""
+    """(n,) Return the qualities after all games of those parts.
+
+    `names` are those of `opponent_sampling.qualities`, in order of creation.
+    """
     key = "quality", tuple(parts), rate
 
     def use(fold: QualityFold) -> np.ndarray | None:

@@ -187,10 +187,15 @@ def qualities(
 ) -> np.ndarray:
     """(n,) OpenAI Five's qualities of all snapshots that the learner may ever have met, from its games so far.
 
-    After thinning, the pool of a turn lacks some of the snapshots of that time; a snapshot that was never met until
-    then counts as new.
+    The pool of a turn consisted of the snapshots that were created before it. After thinning, it lacks some of the
+    snapshots of that time; a snapshot that was never met until then counts as new.
     """
-    return quality_scores(state.training_games, learner.name, _parts(state, learner, since), names, opponents.rate)
+    frozen = state.by_name
+    order = sorted(range(len(names)), key=lambda i: (frozen[names[i]].created, frozen[names[i]].iteration, names[i]))
+    parts, found = _parts(state, learner, since), np.zeros(len(names))
+    oldest_first = [names[i] for i in order]
+    found[order] = quality_scores(state.training_games, learner.name, parts, oldest_first, opponents.rate)
+    return found
 
 
 def _parts(state: LeagueState, learner: Player, since: int = -1) -> list[Part]:

@@ -74,6 +74,23 @@ def test_qualities_follow_the_log_whatever_was_read_before():
     assert weights["red"] == 0
 
 
+def test_a_late_player_s_snapshots_begin_with_the_largest_quality_of_their_time():
+    """The early snapshots of a player that came late are not as old as those of others at that iteration."""
+    late = player("red-2", 1, group="2")
+    order = [(RED, 0), (RED, 2), (RED, 4), (late, 1), (RED, 8), (late, 3)]
+    pool = [snapshot(owner, i, created=100.0 + at) for at, (owner, i) in enumerate(order)]
+    log, published = [], Qualities()
+    for size in (2, 3, 5, 6):
+        turn = [(s.name, 30 + 10 * at, 100, 1 / size) for at, s in enumerate(pool[:size])]
+        published.add(name for name, *_ in turn)
+        published.note(turn, size)
+        log += [games(name, n, 100 - n, iteration=size, chance=p, pool=size) for name, n, _, p in turn]
+    by_iteration = sorted(pool, key=lambda s: (s.iteration, s.name))
+    names = [s.name for s in by_iteration]
+    state = LeagueState((BLUE, RED, late), by_iteration, meetings=log)
+    assert qualities(Opponents("openai_five"), state, BLUE, names) == pytest.approx(published.of(names))
+
+
 @pytest.mark.parametrize("kind", ["uniform", "latest", "pfsp", "openai_five", "gaussian", "nash", "alpharank"])
 def test_nobody_meets_a_thinned_snapshot_and_what_is_known_of_the_others_stays(kind):
     log = [games("red@0", 90, 10, chance=0.5, pool=4), games("red@2", 30, 10, chance=0.5, pool=4)]
