@@ -232,7 +232,8 @@ class Budget:
     """In an arena of several teams: enough when the 95 % interval of each player's score against initial begins above
     this."""
     against: tuple[str, ...] = ()
-    """Scripts, such as idle, against which score and plateau are measured instead of initial opponents."""
+    """Scripts, such as idle, against which score and plateau are measured instead of initial opponents: by the mean of
+    the scores against each."""
     plateau: int | None = field(default=None, metadata={"low": 1})
     """Enough when no snapshot of so many has been better than the best one before them, once that one surely succeeds
     or scores in more than half of its games."""

@@ -4,13 +4,14 @@
 which groups need a turn, `league/scheduling/match_scheduler.py` whether any player still trains.
 
 A group's training ends when its budget is spent or its players have learnt enough. A snapshot counts for that after
-`rating.episodes_per_pair` episodes that measure progress: alone in an arena of one team, else against its initial
-opponents or the scripts of `budget.against`. The best snapshot has the highest lower end of the 95 % interval, since
-the highest of many scores is often due to luck.
+`rating.episodes_per_pair` episodes that measure progress: alone in an arena of one team, else against each of its
+initial opponents or of the scripts of `budget.against`. Its score is the mean of those against each, so it does not
+depend on whom it met first or most. An opponent in a match that was set aside for good is not awaited. The best
+snapshot has the highest lower end of the 95 % interval, since the highest of many scores is often due to luck.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,8 +20,9 @@ import numpy as np
 from league.config.experiment import Config
 from league.config.sections import Budget, Rating
 from league.scheduling.progress_metrics import budget_opponents
-from league.state.jobs import TrainingTurn, decode
+from league.state.jobs import TrainingTurn, decode, pairs_failed_alone
 from league.state.league_state import Group, LeagueState
+from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.scores import Score
 from matchmaking.roles import Role
 from matchmaking.schedule import LearningCounts, current_phase, remaining
@@ -138,7 +140,7 @@ def learning_counts(state: LeagueState, players: Sequence[Player]) -> dict[str, 
 
 
 class Rated(NamedTuple):
-    """A snapshot, and its success rate alone or its score against the opponents that measure progress."""
+    """A snapshot, and its success rate alone or its mean score against the opponents that measure progress."""
 
     snapshot: Snapshot
     score: Score
@@ -166,22 +168,35 @@ def rated(state: LeagueState, player: str, quota: int, against: Sequence[str] = 
 
     `against` is the setting `budget.against`.
     """
-    ladder, found = state.ladder, []
+    ladder, found, never = state.ladder, [], pairs_failed_alone(state.jobs)
     for snapshot in state.history(player):
         if snapshot.name not in ladder.payoff.positions:
             continue
-        opponents: list[Snapshot] = []
+        opponents = []
         if state.one_team:
-            episodes, score = ladder.trial_episodes(snapshot.name), ladder.success(snapshot.name)
+            score = ladder.success(snapshot.name) if ladder.trial_episodes(snapshot.name) >= quota else None
         else:
-            opponents, payoff = budget_opponents(against, state, snapshot), ladder.payoff
-            others = [o.name for o in opponents]
-            at = np.array([payoff.index(name) for name in others if name in payoff.positions], int)
-            episodes = int(payoff.episodes_between(np.array(payoff.index(snapshot.name)), at).sum())
-            score = ladder.score(snapshot.name, *others) if len(at) else None
-        if score is not None and episodes >= quota and score.games:
+            opponents = _met(ladder, snapshot, budget_opponents(against, state, snapshot), quota, never)
+            score = ladder.mean_score(snapshot.name, *(o.name for o in opponents))
+        if score is not None and score.games:
             found.append(Rated(snapshot, score, opponents))
     return found
+
+
+def _met(
+    ladder: Ladder, snapshot: Snapshot, opponents: Sequence[Snapshot], quota: int, never: Container[frozenset[str]]
+) -> list[Snapshot]:
+    """Return the opponents that a snapshot has valid games with; none until it has met all of them for the quota.
+
+    The pairs `never` are in matches that were set aside for good: they are not awaited.
+    """
+    known = [o for o in opponents if o.name in ladder.payoff.positions]
+    own, at = (np.array([ladder.payoff.index(s.name) for s in some], int) for some in ([snapshot], known))
+    episodes = dict(zip(known, ladder.payoff.episodes_between(own, at).tolist(), strict=True))
+    met = [o for o in opponents if episodes.get(o, 0) >= quota]
+    if any(o not in met and frozenset((snapshot.name, o.name)) not in never for o in opponents):
+        return []
+    return [o for o in met if ladder.score(snapshot.name, o.name).games]
 
 
 def best(found: Sequence[Rated]) -> Rated | None:

@@ -16,7 +16,7 @@ from league.scheduling import training_progress
 from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
-from league.state.jobs import TrainingTurn, encode, failed_alone
+from league.state.jobs import TrainingTurn, encode, pairs_failed_alone
 from league.state.league_state import LeagueState
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import next_due
@@ -81,8 +81,8 @@ def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[t
             first, second = np.array([[payoff.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2).T
             for at in np.flatnonzero(payoff.episodes_between(first, second) < quota).tolist():
                 missing.setdefault(frozenset(pairs[at]), pairs[at])
-    never = [set(lineup) for lineup in failed_alone(state.jobs)] if missing else []
-    return [pair for pair in missing.values() if not any({*pair} <= lineup for lineup in never)]
+    never = pairs_failed_alone(state.jobs) if missing else set()
+    return [pair for names, pair in missing.items() if names not in never]
 
 
 def _next_groups(config: Config, progress: TrainingProgress) -> list[str]:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from itertools import combinations
 from typing import Any, ClassVar
 
 from storage.errors import StorageError
@@ -101,6 +102,11 @@ def failed_alone(jobs: Sequence[Job]) -> set[tuple[str | None, ...]]:
     """Return the lineups whose match was set aside although it was a job of its own: they are not played again."""
     tasks = [decode(job) for job in jobs if job.kind == RatingMatch.kind and job.state == "failed"]
     return {each.lineups[0] for each in tasks if isinstance(each, RatingMatch) and len(each.lineups) == 1}
+
+
+def pairs_failed_alone(jobs: Sequence[Job]) -> set[frozenset[str]]:
+    """Return the pairs of snapshots in the lineups that failed alone."""
+    return {frozenset(pair) for lineup in failed_alone(jobs) for pair in combinations(filter(None, lineup), 2)}
 
 
 def _as_tuples(value: Any) -> Any:

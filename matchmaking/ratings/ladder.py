@@ -164,6 +164,10 @@ class Ladder:
         """Return the mean score of a over all its games against `others`."""
         return self.payoff.score(a, *others)
 
+    def mean_score(self, a: str, *others: str) -> Score:
+        """Return the mean of the scores of a against each of `others`, each with the same weight."""
+        return self.payoff.mean_score(a, *others)
+
     def success(self, a: str) -> Score:
         """Return the success rate of a in an arena of one team: a draw is no success, and a void does not count."""
         successes, failures = map(int, self.payoff.trials[self.payoff.index(a), :2])

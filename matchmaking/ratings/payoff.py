@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from matchmaking.ratings.rankings import NO_RANKINGS, Rankings, lineups_of, pair_rows
-from matchmaking.ratings.scores import SUSPECT, Score, score_interval
+from matchmaking.ratings.scores import SUSPECT, Score, mean_interval, score_interval
 from storage.errors import StorageError
 from storage.records import COUNT_COLUMNS, ArenaKey, LineupTotals, Match, MatchTotals, RankedMatch
 
@@ -172,6 +172,20 @@ class Payoff:
         n = wins + draws + losses
         voids = self.voids_against(a, others)
         return Score((wins + draws / 2) / n if n else float("nan"), float(low), float(high), n, voids)
+
+    def mean_score(self, a: str, *others: str) -> Score:
+        """Return the mean of the scores of a against each of `others` with games; repeated names count once.
+
+        In contrast to `score`, each of them has the same weight, however many games there are.
+        """
+        met = np.array([self.index(name) for name in dict.fromkeys(others)], int)
+        counts = self.between(np.array(self.index(a)), met)
+        played, voids = counts[counts[:, :3].any(1)], int(counts[:, 8].sum())
+        if not len(played):
+            return Score(float("nan"), 0.0, 1.0, 0, voids)
+        wins, draws, losses = played.T[:3]
+        mean, low, high = mean_interval(wins, draws, losses, played[:, 3:8])
+        return Score(mean, low, high, int(played[:, :3].sum()), voids)
 
     def voids_against(self, a: str, others: Iterable[str]) -> int:
         """Return the void episodes of a against all of `others`; repeated names count once."""

@@ -54,7 +54,30 @@ def score_interval(wins, draws, losses, pairs=None, confidence: float = 0.95) ->
     Returns:
         low, high: arrays (...) in [0, 1]; (0, 1) without games.
     """
+    return wilson(*effective_games(wins, draws, losses, pairs, confidence), confidence)
+
+
+def mean_interval(wins, draws, losses, pairs, confidence: float = 0.95) -> tuple[float, float, float]:
+    """Return the mean of scores against K opponents, each with the same weight, and its interval.
+
+    The interval is Wilson's for K² / Σ 1/n*_k games: it takes s (1-s) as the variance of the games against every
+    opponent. Their own variances are smaller on average, by the variance of the scores among opponents, so the interval
+    is too wide rather than too narrow, also where all games against some were won.
+
+    Args:
+        wins: (K,) games won; draws and losses too, at least one of the three for each opponent.
+        draws: (K,) games drawn.
+        losses: (K,) games lost.
+        pairs: (K, 5) counts of complete seed pairs among those games.
+        confidence: coverage of the two-sided interval, between 0 and 1.
+    """
     s, effective = effective_games(wins, draws, losses, pairs, confidence)
+    low, high = wilson(s.mean(), len(s) ** 2 / (1 / effective).sum(), confidence)
+    return float(s.mean()), float(low), float(high)
+
+
+def wilson(s, effective, confidence: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return Wilson's interval of a mean score s from so many decisive games."""
     z2, limit = quantile(confidence) ** 2, s * (1 - s)
     centre = (effective * s + z2 / 2) / (effective + z2)
     half = np.sqrt(z2 * (effective * limit + z2 / 4)) / (effective + z2)

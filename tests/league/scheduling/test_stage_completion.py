@@ -12,7 +12,7 @@ from league.config import experiment as configuration
 from league.config import presets
 from league.config.schema import ConfigError
 from league.config.sections import Budget
-from league.scheduling import curriculum, turn_scheduler
+from league.scheduling import curriculum, match_scheduler, turn_scheduler
 from league.scheduling.training_progress import best, handed_on, learnt_enough, rated, why
 from league.snapshots.codec import freeze
 from league.snapshots.transfer import warm_start
@@ -21,7 +21,7 @@ from league.state.league_state import LeagueState
 from storage.blobs import arrays
 from storage.records import Checkpoint, Match, PairCounts
 from tests.league.leagues import filled, finish, snapshot
-from tests.league.plans import KEY, PLAYERS, checkpoints, league_state, snapshots, training
+from tests.league.plans import KEY, MORE, PLAYERS, checkpoints, league_state, snapshots, training
 
 GAMES = 400
 AT = (0, 1, 2, 4, 8, 16, 32)
@@ -131,6 +131,71 @@ def test_the_snapshot_handed_on_is_the_best_against_those_that_the_budget_names(
     config = replace(training(), budget=Budget(score=0.8, against=("pusher",)))
     told = " Handed on instead of the newest: blue@2 scores 95 % (92-97 %) against pusher."
     assert _handed_on(config, state) == told
+
+
+IDLE, TANK = (snapshot(None, 0, name="idle", roster=roster) for roster in ("rover", "tank"))
+BOTH = Budget(score=0.6, against=("idle", "pusher"))
+
+
+def against_two(idle: dict[int, float], pusher: dict[int, float], games: int = 128, **given) -> LeagueState:
+    """A league whose blue snapshots have won these shares of games against two scripts; a third one fits no team."""
+    log = [replace(m, b="idle") for m in played(idle)] + [replace(m, b="pusher") for m in played(pusher, games=games)]
+    others = replace(TANK, name="idle-tank"), IDLE
+    return league_state(log, checkpoints=checkpoints(32), snapshots=(*others, *snapshots(*AT)), **given)
+
+
+def test_of_several_opponents_a_snapshot_meets_each_and_the_mean_of_its_scores_counts():
+    blue, against = PLAYERS[0], BOTH.against
+    assert why(BOTH, 128, against_two({4: 1.0}, {}), blue) is None
+    assert why(BOTH, 128, against_two({4: 1.0}, {4: 1.0}, games=127), blue) is None
+    assert why(BOTH, 128, against_two({4: 1.0}, {4: 0.0}), blue) is None  # 76 % of all games, but 50 % on average
+    told = "blue@4 scores 75 % (70-79 %) against idle, pusher"
+    assert why(BOTH, 128, against_two({4: 1.0}, {4: 0.5}), blue) == told
+    half_met = against_two({4: 1.0, 32: 1.0}, {32: 0.7})
+    assert names(rated(half_met, "blue", 128, against)) == ["blue@32"]
+    assert handed_on(half_met, "blue", against=against) is None
+    assert (
+        handed_on(against_two({4: 1.0, 32: 1.0}, {4: 0.9, 32: 0.7}), "blue", against=against).snapshot.name == "blue@4"
+    )
+
+
+def test_an_opponent_whose_match_was_set_aside_is_not_awaited():
+    config = replace(training(), budget=BOTH)
+    state = against_two({32: 1.0}, {})
+    jobs = [match_scheduler.rating_job(config, state, [("blue@32", name)], None) for name in ("pusher", "idle")]
+    aside = [replace(state, jobs=(replace(job, state="failed"),)) for job in jobs]
+    assert why(BOTH, 128, aside[0], PLAYERS[0]) == "blue@32 scores 100 % (99-100 %) against idle"
+    assert why(BOTH, 128, aside[1], PLAYERS[0]) is None  # pusher is still awaited
+    alone = replace(against_two({}, {}), jobs=aside[0].jobs + aside[1].jobs)
+    assert why(BOTH, 128, alone, PLAYERS[0]) is None  # nothing is known
+    begun = replace(against_two({32: 1.0}, {32: 0.0}, games=4), jobs=aside[0].jobs)
+    assert why(BOTH, 128, begun, PLAYERS[0]) == "blue@32 scores 100 % (99-100 %) against idle"
+
+
+def test_an_opponent_with_whom_all_episodes_are_void_tells_nothing():
+    void = replace(played({32: 0.0}, games=0)[0], b="pusher", voids=128)
+    state = against_two({32: 1.0}, {})
+    state = replace(state, ladder=state.ladder.extended([void]))
+    assert why(BOTH, 128, state, PLAYERS[0]) == "blue@32 scores 100 % (99-100 %) against idle"
+
+
+def test_unlike_teams_meet_the_initial_snapshots_of_all_players_of_the_others():
+    players = tuple(replace(p, roster=f"{p.team} {p.roster}") for p in MORE)
+    won = {"red@0": 0.9, "red-2@0": 0.7}
+
+    def after_games_with(*opponents: str) -> LeagueState:
+        log = [replace(m, b=name) for name in opponents for m in played({4: won[name]})]
+        return league_state(
+            log,
+            players=players,
+            snapshots=snapshots(0, 4, players=players),
+            checkpoints=checkpoints(4, players=players),
+        )
+
+    assert rated(after_games_with("red@0"), "blue", 128) == []
+    assert rated(after_games_with("red-2@0"), "blue", 128) == []
+    (found,) = rated(after_games_with(*won), "blue", 128)
+    assert str(found) == "blue@4 scores 80 % (77-83 %) against initial opponents"
 
 
 def test_training_goes_on_until_each_player_has_learnt():
