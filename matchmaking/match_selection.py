@@ -60,7 +60,7 @@ def pairings(
     newest_first = [place[name] for name in reversed(candidates)]
     first_of = {place[a]: [place[b] for b in others] for a, others in always.items()}
     chosen = np.array([ladder.payoff.index(name) for name in names], int)
-    wanted = _wanted(ladder.payoff.block(chosen, chosen).sum(0), newest_first, first_of, quota)
+    wanted = _wanted(ladder.payoff.episodes_between(chosen[:, None], chosen), newest_first, first_of, quota)
     wanted &= _allowed(names, wanted, kinds or {}, may_meet)
     if not wanted.any():
         return []

@@ -39,6 +39,7 @@ class Payoff:
     pairs: np.ndarray  # (E, 5) int: seed pairs by first's score: LL, LD, DD or WL, DW, WW
     voids: np.ndarray  # (E,) int: void episodes
     at_fault: np.ndarray  # (E, 2) int: those of them in which only first's robots failed, or only second's
+    third_voids: np.ndarray  # (E,) int, in ranked matches: void episodes besides, in which only a third team failed
     trials: np.ndarray  # (P, 4) int, in arenas of one team: successes, failures, voids, voids by its own robots
     last: np.ndarray  # (P,) when its newest match was written, in seconds since the epoch; 0 without one
     arena: ArenaKey | None = None  # of the matches; None without any
@@ -99,9 +100,15 @@ class Payoff:
         return np.where((edge >= 0)[..., None], found, 0)
 
     def episodes_between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        """Return the episodes that i and j have played together, void ones included; arrays as for `edges`."""
-        found = self.between(i, j)
-        return found[..., :3].sum(-1) + found[..., 8]
+        """Return the episodes that i and j have played together, void ones included; arrays as for `edges`.
+
+        Those that a third team alone made void are included too: a pair that meets only beside it has met nevertheless.
+        """
+        edge = self.edges(i, j)
+        if not len(self.first):
+            return np.zeros(edge.shape, np.int64)
+        games = self.home[edge].sum(-1) + self.away[edge].sum(-1)
+        return np.where(edge >= 0, games + self.voids[edge] + self.third_voids[edge], 0)
 
     def block(self, rows: Sequence[int] | np.ndarray, columns: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return (4, R, C) wins, draws and losses of the rows against the columns, and voids."""
@@ -250,21 +257,22 @@ def sum_matches(
     pair = table[:, 0] * len(names) + table[:, 1]
     order = np.argsort(pair, kind="stable")
     starts = np.flatnonzero(np.diff(pair[order], prepend=-1))
-    keys, sums = pair[order[starts]], np.zeros((len(starts), 14), np.int64)
+    keys, sums = pair[order[starts]], np.zeros((len(starts), 15), np.int64)
     if len(starts):
         np.add.reduceat(table[order, 2:], starts, out=sums)
-    columns = np.split(sums, [3, 6, 11, 12], axis=1)
+    columns = np.split(sums, [3, 6, 11, 12, 14], axis=1)
     if onto is not None:
         now = np.array([place[name] for name in onto.names], np.int64)
         trials[now] += onto.trials
         last[now] = np.maximum(last[now], onto.last)
         rankings = rankings.plus(onto.rankings.renumbered(now))
-        before = (onto.home, onto.away, onto.pairs, onto.voids[:, None], onto.at_fault)
+        before = (onto.home, onto.away, onto.pairs, onto.voids[:, None], onto.at_fault, onto.third_voids[:, None])
         keys, columns = _merged(now[onto.first] * len(names) + now[onto.second], before, keys, columns)
     first, second = np.divmod(keys, max(len(names), 1))
-    home, away, pairs, void, at_fault = columns
+    home, away, pairs, void, at_fault, third = columns
     key = next(iter(arenas), None)
-    return Payoff(names, first, second, home, away, pairs, void[:, 0], at_fault, trials, last, key, rankings)
+    void, third = void[:, 0], third[:, 0]
+    return Payoff(names, first, second, home, away, pairs, void, at_fault, third, trials, last, key, rankings)
 
 
 def _merged(
@@ -290,8 +298,9 @@ def rankings_payoff(names: tuple[str, ...], rankings: Rankings) -> Payoff:
     """Return the payoff of rankings of players with these names, which are sorted."""
     first, second, games = rankings.pairs(len(names))
     E, P = len(first), len(names)
-    away, pairs, voids, at_fault, trials = (np.zeros(shape, int) for shape in ((E, 3), (E, 5), E, (E, 2), (P, 4)))
-    return Payoff(names, first, second, games, away, pairs, voids, at_fault, trials, np.zeros(P), None, rankings)
+    shapes = (E, 3), (E, 5), E, (E, 2), E, (P, 4)
+    away, pairs, voids, at_fault, third, trials = (np.zeros(shape, int) for shape in shapes)
+    return Payoff(names, first, second, games, away, pairs, voids, at_fault, third, trials, np.zeros(P), None, rankings)
 
 
 def _arenas(matches: Sequence[Match | RankedMatch] | MatchTotals) -> set[ArenaKey]:
@@ -342,7 +351,10 @@ def _check(a: Sequence[str], b: Sequence[str | None], counts: np.ndarray) -> Non
 
 
 def _of_first(a: np.ndarray, b: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return (rows, 16): first, second, home ×3, away ×3, pairs ×5, voids, culprits ×2, seen from the first by name."""
+    """Return (rows, 17): first, second, home ×3, away ×3, pairs ×5, voids, culprits ×2 and no voids of a third team.
+
+    They are seen from the first by name.
+    """
     home, pairs, voids, at_fault = counts[:, 3:6], counts[:, 6:11], counts[:, 11:12], counts[:, 12:]
     away, turned = counts[:, :3] - home, (a > b)[:, None]
     # B's away games are those in which A played team 0, and A's losses are B's wins.
@@ -350,4 +362,5 @@ def _of_first(a: np.ndarray, b: np.ndarray, counts: np.ndarray) -> np.ndarray:
         np.minimum(a, b), np.maximum(a, b),
         np.where(turned, away[:, ::-1], home), np.where(turned, home[:, ::-1], away),
         np.where(turned, pairs[:, ::-1], pairs), voids, np.where(turned, at_fault[:, ::-1], at_fault),
+        np.zeros_like(a),
     ])  # fmt: skip

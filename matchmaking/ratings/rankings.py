@@ -184,13 +184,13 @@ def chunks(rows: int, width: int, most: int = 2_000_000) -> list[slice]:
 def pair_rows(
     rankings: Rankings, lineups: Mapping[tuple[str, ...], LineupTotals], place: Mapping[str | None, int]
 ) -> np.ndarray:
-    """Return lineups as rows (rows, 16) of `payoff.sum_matches`: in each game every pair of teams counts as a game.
+    """Return lineups as rows (rows, 17) of `payoff.sum_matches`: in each game every pair of teams counts as a game.
 
-    All games count as played at home, since three and more teams have no two sides. A void that a third team alone has
-    caused is none of a pair's.
+    All games count as played at home, since three and more teams have no two sides. Voids that a third team alone has
+    caused are in a column of their own.
     """
     first, second, games = rankings.pairs(len(place))
-    met = np.zeros((len(first), 16), np.int64)
+    met = np.zeros((len(first), 17), np.int64)
     met[:, 0], met[:, 1], met[:, 2:5] = first, second, games
     voids = []
     for snapshots, totals in lineups.items():
@@ -200,8 +200,9 @@ def pair_rows(
                 ends = sorted(((place[a], totals.voids_by_team[i]), (place[b], totals.voids_by_team[j])))
                 (one, own), (other, theirs) = ends
                 if one != other:
-                    voids.append([one, other, *[0] * 11, unclear + own + theirs, own, theirs])
-    return np.concatenate([met, np.array(voids, np.int64).reshape(-1, 16)])
+                    caused = unclear + own + theirs
+                    voids.append([one, other, *[0] * 11, caused, own, theirs, totals.voids - caused])
+    return np.concatenate([met, np.array(voids, np.int64).reshape(-1, 17)])
 
 
 def _sorted(players: np.ndarray, ranks: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

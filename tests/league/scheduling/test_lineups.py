@@ -9,7 +9,7 @@ from league.scheduling import match_scheduler
 from league.scheduling.match_scheduler import complete
 from matchmaking.ratings.ladder import Ladder
 from storage.records import Player, RankedMatch, Snapshot
-from tests.league.plans import KEY, league_state, pairs_of, snapshots, training
+from tests.league.plans import KEY, checkpoints, league_state, pairs_of, snapshots, training, with_matches
 
 TRIO = tuple(Player("quickstart", name, team, "main", "puck") for team, name in enumerate(("blue", "red", "green")))
 ALONE = (*TRIO[:2], replace(TRIO[2], roster="tank"))
@@ -81,6 +81,23 @@ def test_rating_jobs_carry_lineups_until_every_pair_has_met_enough():
     names = [s.name for s in state.snapshots]
     met = {frozenset((a, b)) for m in log for a in m.snapshots for b in m.snapshots if a != b}
     assert met == {frozenset((a, b)) for a in names for b in names if a != b}
+
+
+def test_a_snapshot_whose_robots_always_fail_is_not_planned_for_ever():
+    """Its failures count for the pairs of the others, which it completes to lineups."""
+
+    def outcome(lineup) -> RankedMatch:
+        culprits = tuple(128 * (name == "green@4") for name in lineup)
+        valid = 0 if any(culprits) else 128
+        return replace(played(lineup, valid), voids=sum(culprits), voids_by_team=culprits)
+
+    config = replace(training(), budget=Budget(steps=1))
+    state, log = replace(trio(0, 4), checkpoints=checkpoints(4, players=TRIO)), []
+    for _ in range(10):
+        lineups = pairs_of(match_scheduler.next_matches(config, with_matches(state, log)))
+        log += map(outcome, lineups)
+    assert not lineups
+    assert with_matches(state, log).ladder.score("red@4", "red@0").voids == 0
 
 
 @pytest.mark.parametrize("episodes", [0, 64])

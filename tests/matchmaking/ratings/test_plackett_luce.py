@@ -154,7 +154,7 @@ def test_the_order_and_the_rows_of_a_log_do_not_matter():
     parts = sum_matches(log[2:], ["z"], onto=sum_matches(log[:2]))
     turned = sum_matches([*log[::-1]], ["z"])
     for other in (parts, turned):
-        for values in ("home", "away", "voids", "at_fault", "last"):
+        for values in ("home", "away", "voids", "at_fault", "third_voids", "last"):
             assert np.array_equal(getattr(whole, values), getattr(other, values)), values
         assert np.array_equal(fit(whole).elo, fit(other).elo)
     assert whole.names == ("a", "b", "c", "d", "z")
@@ -169,6 +169,8 @@ def test_every_pair_of_a_lineup_counts_as_one_game():
     # One void is unclear, one was a's and two were c's: of a and b, those of c are no void.
     assert payoff.voids.tolist() == [2, 4, 3]
     assert payoff.at_fault.tolist() == [[1, 0], [1, 2], [0, 2]]
+    assert payoff.episodes_between(np.array([0, 1, 0, 0]), np.array([1, 2, 2, 0])).tolist() == [11, 11, 11, 0]
+    assert payoff.episodes_between(np.array(0), np.array(1)) == 11
 
 
 def test_ties_in_large_fields_are_fitted():
