@@ -238,7 +238,8 @@ class Budget:
     """Enough when no snapshot of so many has been better than the best one before them, once that one surely succeeds
     or scores in more than half of its games."""
     reward: float | None = None
-    """Enough when each player's reward per episode, without shaping, was this much on average in 10 iterations."""
+    """Enough when each player's reward per episode, without shaping, was this much on average in 10 iterations, or in
+    as many as the longest episode lasts."""
 
     @property
     def train_seconds(self) -> float:
@@ -247,7 +248,7 @@ class Budget:
 
     @property
     def window(self) -> int:
-        """Number of learning iterations over which rewards and successes of training are averaged; 0: none needed."""
+        """Least number of iterations over which rewards and successes of training are averaged; 0: none needed."""
         if self.reward is not None:
             return 10
         return 0 if self.success is None else 16

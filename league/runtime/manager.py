@@ -21,6 +21,7 @@ from league.config.run_spec import RunSpec
 from league.runtime.heartbeat import BEAT, LEASE
 from league.runtime.warm_worker import WarmWorker
 from league.runtime.worker_process import WorkerSpec, run_process
+from league.scheduling.episode_lengths import averaged_iterations
 from league.scheduling.planner import BEFORE_RATING, plan
 from league.state.jobs import RatingMatch, TrainingTurn
 from league.state.league_state import LeagueState
@@ -132,7 +133,7 @@ class Manager:
         """End the workers, and report the state that includes what they still finished, such as a rating batch."""
         self._end_workers()
         with suppress(Unavailable):
-            window = self.config.budget.window
+            window = averaged_iterations(self.config)
             self._league_state = LeagueState.of(self.store, self.config.league, self._league_state, recent=window)
         if self._league_state is not None:
             report(self._league_state, self.state, [])
@@ -144,7 +145,7 @@ class Manager:
         """Plan again if the league has changed since the last plan, or stop if a stop was requested since `started`."""
         revision = self.store.revision(self.config.league)
         if revision != self._seen:
-            asked, recent = self.store.stop_asked(self.config.league, started), self.config.budget.window
+            asked, recent = self.store.stop_asked(self.config.league, started), averaged_iterations(self.config)
             self._league_state = LeagueState.of(self.store, self.config.league, self._league_state, recent=recent)
             planned = self._plan(self._league_state)
             self.state, self._seen = "stopped" if asked else planned, revision

@@ -16,6 +16,7 @@ from league.config.experiment import Config
 from league.runtime.heartbeat import BEAT, Heartbeat, none_on_error
 from league.runtime.rating_jobs import RatingJobs
 from league.runtime.worker_health import WorkerHealth
+from league.scheduling.episode_lengths import averaged_iterations
 from league.scheduling.turn_scheduler import next_turns
 from league.state.jobs import RatingMatch, Task, TrainingTurn, decode
 from league.state.league_state import LeagueState
@@ -185,7 +186,7 @@ class Worker:
 
         The plan is the same for both, and a job that both queue is queued once.
         """
-        league, window = self.config.league, self.config.budget.window
+        league, window = self.config.league, averaged_iterations(self.config)
         self._league_state = LeagueState.of(self.store, league, self._league_state, recent=window)
         following = next_turns(self.config, self._league_state)
         if following.jobs:

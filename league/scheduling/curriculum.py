@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from league.config import experiment as configuration
 from league.config.experiment import Config
+from league.scheduling.episode_lengths import averaged_iterations
 from league.scheduling.training_progress import learnt_enough, why
 from league.state.curriculum_stage import course
 from league.state.league_state import LeagueState
@@ -49,7 +50,7 @@ def stage_state(store: Store, config: Config) -> LeagueState:
     """Return the state of a stage's league; empty for a stage that has not begun."""
     if config.league not in {league.name for league in store.leagues()}:
         return LeagueState()
-    return LeagueState.of(store, config.league, recent=config.budget.window)
+    return LeagueState.of(store, config.league, recent=averaged_iterations(config))
 
 
 def read_stages(store: Store, league: str) -> list[StageProgress]:
@@ -87,7 +88,7 @@ def until(config: Config) -> str:
     if budget.plateau is not None:
         rules.append(f"when the last {budget.plateau} snapshots are no better than one before them")
     if budget.reward is not None:
-        rules.append(f"when the reward per episode is {budget.reward:g} over {budget.window} iterations")
+        rules.append(f"when the reward per episode is {budget.reward:g} over {averaged_iterations(config)} iterations")
     if budget.steps is not None or budget.training_time is not None:
         rules.append(f"after {_budget(config)}")
     return " or ".join(rules) or "never"

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arenas.arena_settings import Timing
 from league.config.experiment import Config
 from league.scheduling import training_progress
+from league.scheduling.episode_lengths import longest_episode
 from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
@@ -24,9 +24,6 @@ from storage.records import Job, Phase, Player
 
 Assignments = tuple[tuple[str, ...], ...]  # for each group of worlds the snapshot or player of every team
 Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it was drawn, and out of how many
-
-UNKNOWN_DECISIONS = 1000
-"""Decisions of the longest episode where the arena's settings do not tell: those of most environments of Gymnasium."""
 
 
 @dataclass(frozen=True)
@@ -183,9 +180,7 @@ def _periods(config: Config, rule: Opponents, iteration: int, groups: int) -> li
     A period is `Opponents.episodes` of the arena's longest episodes, in whole iterations. The groups' periods begin one
     after the other, so that not all of a learner's opponents change at once.
     """
-    timing = getattr(config.arena, "timing", None)  # settings of an arena of your own need not have one
-    longest = timing.decisions if isinstance(timing, Timing) else UNKNOWN_DECISIONS
-    period = max(1, math.ceil(rule.episodes * longest / config.training.rollout_length))
+    period = max(1, math.ceil(rule.episodes * longest_episode(config) / config.training.rollout_length))
     return [(iteration + k * period // groups) // period for k in range(groups)]
 
 

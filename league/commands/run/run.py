@@ -23,6 +23,7 @@ from league.runtime.manager import ManagerError
 from league.runtime.preflight import Prepared, preparation
 from league.runtime.warm_worker import WarmWorker
 from league.scheduling import curriculum
+from league.scheduling.episode_lengths import averaged_iterations
 from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.training_progress import trained_enough
 from league.state.league_state import LeagueState
@@ -83,7 +84,7 @@ def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: Wa
                 print(done)
                 return 0
             return _start(request, spec, config, prepared, warm_worker)
-        state = with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
+        state = with_retries(LeagueState.of(store, config.league, recent=averaged_iterations(config)))
         config = _with_budget(request, state)
         paused = any(player.paused is not None for player in state.players)  # the manager resumes them
         if trained_enough(config, state) and not paused and not rating_goes_on(config, state):

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from league.config import experiment
 from league.config.experiment import Config
 from league.scheduling import curriculum
+from league.scheduling.episode_lengths import averaged_iterations
 from league.scheduling.match_scheduler import rating_goes_on
 from league.scheduling.training_progress import trained_enough
 from league.state.jobs import TrainingTurn
@@ -34,7 +35,7 @@ def run_state(store: Store, config: Config) -> RunState:
 
 def is_finished(store: Store, config: Config, is_stage: bool = False) -> bool:
     """Return whether a league, or the last stage of a curriculum, has had its budget and its ratings."""
-    state = with_retries(LeagueState.of(store, config.league, recent=config.budget.window))
+    state = with_retries(LeagueState.of(store, config.league, recent=averaged_iterations(config)))
     ended = curriculum.ended(config, state) is not None if is_stage else trained_enough(config, state)
     return ended and not rating_goes_on(config, state)
 
