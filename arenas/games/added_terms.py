@@ -10,7 +10,7 @@ function returns must follow from its arguments alone.
 
 import hashlib
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from arenas.description import Legend, Part
 from arenas.errors import TermError, describe_error, innermost_line
 from arenas.games.terms import TermSpec
 from arenas.physics.engine import Physics
+from arenas.robots.robot import Script
 from arenas.state import Verdict
 
 ARGUMENTS = {
@@ -83,12 +84,16 @@ def _add_rewards(arena: Arena, terms: Sequence[TermSpec], shapes: Verdict) -> No
 
 
 def _add_observations(arena: Arena, terms: Sequence[TermSpec], shapes: tuple[Any, Any, Any]) -> None:
-    observe, size_of, parts_of = arena.observe, arena.observation_size, arena.observation_parts
+    observe, size_of, parts_of, scripts_of = (
+        arena.observe, arena.observation_size, arena.observation_parts, arena.scripts
+    )  # fmt: skip
     functions = [(term, _loaded(term, "observation_terms")) for term in terms]
     layouts = {}  # agent -> (term, function, first number, or None where it follows, size)
     for agent in arena.robots:
         known = _places(parts_of(agent))
         layouts[agent] = [_layout(arena, agent, *each, known.get(each[0].name), shapes) for each in functions]
+
+    own: dict[str, dict[int, int]] = {}  # kind -> size with the terms -> size without
 
     def observed(physics: Physics, game: Any, actions: dict[str, Array]) -> dict[str, Array]:
         found = dict(observe(physics, game, actions))
@@ -111,10 +116,26 @@ def _add_observations(arena: Arena, terms: Sequence[TermSpec], shapes: tuple[Any
         kept = tuple(texts.get(part.name, part) for part in found)
         return kept + tuple(texts[t.name] for t, _, first, _ in layouts[agent] if first is None) if found else ()
 
+    def scripts() -> dict[str, dict[str, Script]]:
+        return {
+            name: {kind: _without_terms(script, own[kind]) for kind, script in kinds.items()}
+            for name, kinds in scripts_of().items()
+        }
+
+    for agent, robot in arena.robots.items():
+        own.setdefault(robot.kind, {})[size(agent)] = size_of(agent)
     arena.observe, arena.observation_size, arena.observation_parts = observed, size, parts  # type: ignore[method-assign]
+    arena.scripts = scripts  # type: ignore[method-assign]
     vars(arena).pop("teams", None)
     files = [(term.name, term.function, hashlib.sha256(term.file.read_bytes()).hexdigest()) for term in terms]
     arena.config_hash = hashlib.sha256(f"{arena.config_hash} {files}".encode()).hexdigest()[:16]
+
+
+def _without_terms(script: Script, own: Mapping[int, int]) -> Script:
+    """Return a script that sees observations without the terms that follow them; `own` are their sizes without, by the
+    sizes with terms.
+    """
+    return lambda observation, key: script(observation[: own[observation.shape[-1]]], key)
 
 
 def _layout(

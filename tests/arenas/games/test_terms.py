@@ -52,6 +52,9 @@ def branches(arena, before, physics, game):
 def too_few(arena, physics, game):
     return jnp.zeros(2)
 
+def lengths(arena, agent, physics, game, actions):
+    return jnp.full(len(agent), 0.37)
+
 def infinite(arena, before, physics, game):
     return jnp.full(2, jnp.inf)
 """
@@ -97,6 +100,20 @@ def test_observations_grow_by_a_term_or_have_a_part_replaced(file):
     assert [part.name for part in arena.observation_parts("blue/0")] == ["one", "last"]
     np.testing.assert_array_equal(after(arena, 2, 1).observations["red/0"], [0.0, 2.0, 1.0])
     assert arena.teams[0].roster == "chooser:3:3"
+
+
+@pytest.mark.parametrize("name", ["sumo-1v1", "pursuit"])
+def test_scripts_see_nothing_of_what_follows_the_observation(file, name):
+    plain = built(settings=arenas.settings(name))
+    added = built(observations={"more": f"{file}:lengths"}, settings=arenas.settings(name))
+    state, key = jax.jit(plain.reset)(jax.random.key(1)), jax.random.key(0)
+    seen = added.observe(state.physics, state.game, state.actions)
+    for agent in plain.agents:
+        assert seen[agent.name].size == agent.observation_size + len(agent.name)  # another number for each agent
+        for script, kinds in plain.scripts().items():
+            if agent.kind in kinds:
+                action = added.scripts()[script][agent.kind](seen[agent.name], key)
+                np.testing.assert_array_equal(action, kinds[agent.kind](state.observations[agent.name], key))
 
 
 def test_observations_are_part_of_the_rules_and_rewards_are_not(file):
