@@ -303,8 +303,9 @@ class Galaga(Arena):
 
     def game_scripts(self) -> Mapping[str, Mapping[str, Script]]:
         """Return a tank that aims, and drones that fly to their goals straight or in a slalom."""
-        tanks = len(self.tanks) if self.rich else 0
-        return scripts.of_match(self.rules.tank_speed, tanks, self.rules.ray if self.rules.hit == "ray" else 0.0)
+        first, tanks = size("crazyflie", self.observation_builder.slots), len(self.tanks) if self.rich else 0
+        ray = self.rules.ray if self.rules.hit == "ray" else 0.0
+        return scripts.of_match(self.rules.tank_speed, first, tanks, ray)
 
 
 def walls() -> tuple[props.Prop, ...]:

@@ -45,26 +45,26 @@ def flyer(observation: Array, key: Array) -> Array:
     return _fly(observation, _homing(observation[9:12]))
 
 
-def dodger(tanks: int, ray: float, observation: Array, key: Array) -> Array:
-    """Fly to the goal in a slalom, and away from the rays of so many `tanks` at the end of the observation."""
+def dodger(first: int, tanks: int, ray: float, observation: Array, key: Array) -> Array:
+    """Fly to the goal in a slalom, and away from the rays of so many `tanks`, whose numbers begin at index `first`."""
     up, goal = -observation[6:9], observation[9:12]
     far = jnp.sqrt(jnp.sum(goal**2))
     aside = jnp.cross(up, goal / jnp.maximum(far, 1e-6))
     wanted = _homing(goal) + WEAVE * jnp.minimum(far / WAVE, 1.0) * jnp.sin(2 * jnp.pi * far / WAVE) * aside
     for k in range(tanks):
-        wanted += _away(observation[len(observation) - 6 * (tanks - k) :][:6], ray)
+        wanted += _away(observation[first + 6 * k :][:6], ray)
     return _fly(observation, wanted)
 
 
-def of_match(limit: float, tanks: int = 0, ray: float = 0.0) -> Mapping[str, Mapping[str, Script]]:
+def of_match(limit: float, first: int = 0, tanks: int = 0, ray: float = 0.0) -> Mapping[str, Mapping[str, Script]]:
     """Return the game's scripts: for tanks that turn at up to `limit` rad/s, for drones that observe `tanks` barrels.
 
-    Their rays hit within `ray` m.
+    The barrels' numbers begin at index `first` of their observation, and their rays hit within `ray` m.
     """
     return {
         "gunner": {"minitank": partial(gunner, limit)},
         "flyer": {"crazyflie": flyer},
-        "dodger": {"crazyflie": partial(dodger, tanks, ray)},
+        "dodger": {"crazyflie": partial(dodger, first, tanks, ray)},
     }
 
 

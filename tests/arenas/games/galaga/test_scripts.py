@@ -104,12 +104,13 @@ def test_a_flyer_at_its_goal_hovers():
 
 
 def test_a_dodger_that_sees_barrels_flies_away_from_a_ray():
-    level = jnp.zeros(18).at[8].set(-1.0)
+    dodger = variant("galaga-1v1", rich=True, buffer=8).scripts()["dodger"]["crazyflie"]
+    level = jnp.zeros(20).at[8].set(-1.0)  # 12 numbers of its own, 6 of the tank, 2 of the buffer
     near = level.at[12:18].set(jnp.array([-5.0, 0.5, 0.0, 1.0, 0.0, 0.0]))  # the ray passes 0.5 m to the left
-    action = scripts.dodger(1, 0.0, near, None)
+    action = dodger(near, None)
     assert action[1] > 0.1  # to the right
     far = level.at[12:18].set(jnp.array([-5.0, 5.0, 0.0, 1.0, 0.0, 0.0]))
-    np.testing.assert_allclose(scripts.dodger(1, 0.0, far, None), scripts.flyer(level, None), atol=1e-5)
+    np.testing.assert_allclose(dodger(far, None), scripts.flyer(level, None), atol=1e-5)
 
 
 # Stages ---------------------------------------------------------------------------------------------------------------
