@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar, Unpack
 from arenas.arena_settings import EngineOptions, Timing
 from arenas.description import AgentOutline, Outline
 from arenas.games.sumo.stages import WalkSettings
+from arenas.games.terms import with_terms
 from arenas.robots.kinds import check_roster, kind_of, roster_name
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class RobotWalkSettings(WalkSettings):
         """Build the arena."""
         from arenas.games.walk.match import RobotWalk
 
-        return RobotWalk(self, **options)
+        return with_terms(RobotWalk(self, **options), self)
 
 
 ARENAS = (RobotWalkSettings(),)

@@ -160,6 +160,14 @@ def test_a_function_that_cannot_be_a_term_is_one_line_when_the_arena_is_built(fi
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    "settings", {type(each): each for each in arenas.known().values()}.values(), ids=lambda each: each.name
+)
+def test_all_arenas_take_terms(settings):
+    with pytest.raises(ArenaError, match=r"reward\.terms: x = gone\.py:f: there is no such file"):
+        built({"x": "gone.py:f"}, settings=settings)
+
+
 @pytest.mark.parametrize(("text", "line"), [
     ('{x = "f"}', r"x: must name a function in a file, such as my/terms\.py:x"),
     ('{x = {function = "a.py:f", wieght = 2}}', r"x: unknown key wieght \(keys: function, weight, shaping\)"),
