@@ -33,8 +33,8 @@ class Game(ABC):
     """A scene with teams, and the hooks of the game: all of an arena except `reset` and `step`.
 
     A game implements `observation_size`, `place`, `observe` and `judge`, and optionally `decide`, `alive`, `randomise`,
-    `design`, `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of them, so a subclass
-    can set the attributes that they need after it.
+    `design`, `ground_height`, `exchange`, `game_scripts`, `markers` and `privileged`. The constructor calls none of
+    them, so a subclass can set the attributes that they need after it.
     """
 
     exchangeable: bool = False
@@ -145,6 +145,13 @@ class Game(ABC):
         """
         return None
 
+    def ground_height(self, physics: Physics, at: Array) -> Array | None:
+        """Return the height () in metres of the ground at x and y (2,), from which falls of robots are measured.
+
+        None: it is flat, at z = 0, which costs nothing.
+        """
+        return None
+
     def exchange(self, qpos: Array, qvel: Array, game: Any, order: Sequence[int] = (1, 0)) -> tuple[Array, Array, Any]:
         """Return the same situation with exchangeable teams in other places: team i in that of team `order[i]`.
 
@@ -237,13 +244,17 @@ class Game(ABC):
 
     @final
     def fallen(self, physics: Physics) -> Array:
-        """Return (agents,) bool: the agents that have fallen by the rule of their robot. Agents without a body cannot
-        fall.
+        """Return (agents,) bool: the agents that have fallen by the rule of their robot, above the ground below them.
+        Agents without a body cannot fall.
         """
-        rules = [
-            self.robots[agent].fallen(at.pose(physics.qpos)) if at else jnp.zeros((), bool)
-            for agent, at in ((agent, self.scene.agents.get(agent)) for agent in self.robots)
-        ]
+        rules = []
+        for agent, robot in self.robots.items():
+            if (place := self.scene.agents.get(agent)) is None:
+                rules.append(jnp.zeros((), bool))
+                continue
+            pose = place.pose(physics.qpos)
+            ground = self.ground_height(physics, pose[:2])
+            rules.append(robot.fallen(pose if ground is None else pose.at[2].add(-ground)))
         return jnp.stack(rules)
 
     @final

@@ -107,11 +107,12 @@ class Disturbance(RobotWalk):
 
     def heights(self, physics: Physics, body: Body) -> Heights:
         """Return the heights of torso, limbs and feet above the ground under the base."""
-        low = super().heights(physics, body)
-        if not self.terrain.fields:
-            return low
-        ground = self.terrain.height(physics.model["body_pos"], body.pose[:2])
-        return jax.tree.map(lambda height: height - ground, low)
+        low, ground = super().heights(physics, body), self.ground_height(physics, body.pose[:2])
+        return low if ground is None else jax.tree.map(lambda height: height - ground, low)
+
+    def ground_height(self, physics: Physics, at: Array) -> Array | None:
+        """Return the height () of the height field that is in place, m."""
+        return self.terrain.height(physics.model["body_pos"], at) if self.terrain.fields else None
 
     # Rules -----------------------------------------------------------------------------------------------------------
 

@@ -155,7 +155,7 @@ class Walk(Arena):
         body = self.body(WALKER, physics, {WALKER: game.action})
         low = self.heights(physics, body)
         reached = self._distance(physics, game) <= self.rules.reach
-        fall = ~reached & self.down(body, low)
+        fall = ~reached & self.down(physics, body, low)
         late = physics.time > self.rules.episode - self.timing.control_interval / 2
         terms = self._once(before, physics, game, reached, fall) | self._per_second(before, physics, game, body, low)
         game = game._replace(air=jnp.where(low.feet <= 0.0, 0.0, game.air + self.timing.control_interval))
@@ -172,7 +172,7 @@ class Walk(Arena):
         """Return the heights of torso, thighs and feet."""
         return clearance(body.pose, body.angles)
 
-    def down(self, body: Body, low: Heights) -> Array:
+    def down(self, physics: Physics, body: Body, low: Heights) -> Array:
         """Return () bool: it has fallen."""
         return (low.torso <= 0.0) | (up_z(body.pose[3:]) < self.rules.fall_up)
 

@@ -47,9 +47,9 @@ class RobotWalk(Walk):
         """Return the heights of torso, limbs and feet."""
         return self._heights.read(physics.qpos)
 
-    def down(self, body: Body, low: Heights) -> Array:
+    def down(self, physics: Physics, body: Body, low: Heights) -> Array:
         """Return () bool: it has fallen by the walk's rule, or its own."""
-        return super().down(body, low) | self.robot.fallen(body.pose)
+        return super().down(physics, body, low) | self.fallen(physics)[0]
 
 
 def walker_of(name: str) -> Robot:

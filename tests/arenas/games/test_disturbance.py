@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -265,6 +266,28 @@ def test_heights_are_above_the_ground_that_is_there(hills):
         at = jnp.array([x, 0.33])
         assert float(field.height(at)) == pytest.approx(5.0 - down, abs=1e-5)
         assert float(hills.terrain.height(places, at)) == float(field.height(at))
+
+
+def test_a_robot_s_own_rule_of_a_fall_counts_from_the_ground_below_it(hills):
+    model, standing = hills.scene.model, jnp.asarray(hills.scene.rest, jnp.float32).at[0].set(6.0)
+
+    @jax.jit
+    def fallen(number):
+        places = hills.terrain.placed(jnp.asarray(model.body_pos, jnp.float32), number)
+        ground = hills.terrain.height(places, jnp.array([6.0, 0.0]))
+
+        def fallen_above(lower):
+            qpos = standing.at[1].add(ground - lower)
+            physics = SimpleNamespace(qpos=qpos, qvel=jnp.zeros(model.nv), model={"body_pos": places})
+            body = hills.body("blue/0", physics, {"blue/0": jnp.zeros(3)})
+            return hills.down(physics, body, hills.heights(physics, body)), hills.fallen(physics)[0]
+
+        return jax.vmap(fallen_above)(jnp.linspace(0.0, 0.9, 10)), ground
+
+    (flat, _), (terraces, height) = fallen(0), fallen(2)
+    assert height > 0.25
+    assert 0 < flat[1].sum() < 10
+    np.testing.assert_array_equal(terraces, flat)
 
 
 def test_without_a_choice_each_episode_draws_its_ground():
