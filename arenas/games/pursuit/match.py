@@ -9,9 +9,9 @@
 Events: `capture` of the predators and `escape` of the prey.
 
 The original counts touches during the whole episode. Here prey that is touched is caught and leaves the game: it is
-limp, invisible, and bodies pass through it. Predators win when all prey is caught, prey when time is up: the clock is a
-rule, so its end is terminal and the clock is observed. Predators and prey do not collide, because a touch is a capture;
-both collide with walls, pillars and their own kind.
+limp, and nobody observes it. Predators win when all prey is caught, prey when time is up: the clock is a rule, so its
+end is terminal and the clock is observed. Predators and prey do not collide, because a touch is a capture; both collide
+with walls, pillars and their own kind, prey also with prey that is caught.
 """
 
 from collections.abc import Mapping

@@ -185,6 +185,11 @@ def test_predators_meet_each_other_and_prey_passes_through_them(chase):
     np.testing.assert_allclose(at(chase, after, "predators/2")[:2], [0.0, 0.5], atol=1e-3)
 
 
+def test_prey_meets_other_prey_that_is_limp_as_if_caught(few):
+    after = travelled(few, {"prey/0": (-0.4, 0.0), "prey/1": (0.0, 0.0)}, {"prey/0": (1.0, 0.0)}, 1.0)
+    assert at(few, after, "prey/1")[0] > 0.1
+
+
 # Starts ---------------------------------------------------------------------------------------------------------------
 
 
