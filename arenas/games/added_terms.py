@@ -113,7 +113,8 @@ def _add_observations(arena: Arena, terms: Sequence[TermSpec], shapes: tuple[Any
     def parts(agent: str) -> tuple[Part, ...]:
         found = parts_of(agent)
         texts = {term.name: Part(term.name, n, "", term.where) for term, _, _, n in layouts[agent]}
-        kept = tuple(texts.get(part.name, part) for part in found)
+        # What is about the opponent stays so in another form: `league exploit --mask-opponent` freezes it.
+        kept = tuple(texts[p.name]._replace(opponent=p.opponent) if p.name in texts else p for p in found)
         return kept + tuple(texts[t.name] for t, _, first, _ in layouts[agent] if first is None) if found else ()
 
     def scripts() -> dict[str, dict[str, Script]]:

@@ -55,6 +55,9 @@ def too_few(arena, physics, game):
 def lengths(arena, agent, physics, game, actions):
     return jnp.full(len(agent), 0.37)
 
+def pair(arena, agent, physics, game, actions):
+    return jnp.zeros(2)
+
 def infinite(arena, before, physics, game):
     return jnp.full(2, jnp.inf)
 """
@@ -114,6 +117,13 @@ def test_scripts_see_nothing_of_what_follows_the_observation(file, name):
             if agent.kind in kinds:
                 action = added.scripts()[script][agent.kind](seen[agent.name], key)
                 np.testing.assert_array_equal(action, kinds[agent.kind](state.observations[agent.name], key))
+
+
+def test_a_term_in_the_place_of_a_part_about_the_opponent_is_about_it_too(file):
+    settings = arenas.settings("pursuit")
+    parts = built(observations={"prey": f"{file}:pair"}, settings=settings).observation_parts("predators/0")
+    assert [part.name for part in parts if part.opponent] == ["prey", "prey, moving"]
+    assert next(part for part in parts if part.name == "prey").meaning.endswith(":pair")
 
 
 def test_observations_are_part_of_the_rules_and_rewards_are_not(file):
