@@ -7,8 +7,9 @@ step on here, where they fade it in. For ants that run it is 0.3 for the way for
 they move sooner.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from arenas.games.terms import RewardTerms
 
@@ -125,8 +126,6 @@ class ContestReward(RewardTerms):
 
     result: float = field(default=1.0, metadata={"above": 0.0})
     """To the winner, and from the loser."""
-    draw: float = -1.0
-    """To both where neither wins."""
     control: float = -0.01
     """Shaping: per second, times the sum of the squares of the action."""
     alive: float = 0.05
@@ -136,7 +135,22 @@ class ContestReward(RewardTerms):
 
 
 @dataclass(frozen=True)
-class RunToGoalReward(ContestReward):
+class EqualsReward(ContestReward):
+    """Rewards of games in which both have the same task."""
+
+    draw: float = -1.0
+    """To both where neither wins."""
+
+
+@dataclass(frozen=True)
+class RolesReward(ContestReward):
+    """Rewards of games in which each has a task of its own."""
+
+    REMOVED: ClassVar[Mapping[str, str]] = {"draw": "it was removed, because this game has no term of that name"}
+
+
+@dataclass(frozen=True)
+class RunToGoalReward(EqualsReward):
     """Rewards of run to goal."""
 
     forward: float = 0.3
@@ -146,7 +160,7 @@ class RunToGoalReward(ContestReward):
 
 
 @dataclass(frozen=True)
-class YouShallNotPassReward(ContestReward):
+class YouShallNotPassReward(RolesReward):
     """Rewards of you shall not pass."""
 
     timeout: float = 0.0
@@ -158,7 +172,7 @@ class YouShallNotPassReward(ContestReward):
 
 
 @dataclass(frozen=True)
-class RingSumoReward(ContestReward):
+class RingSumoReward(EqualsReward):
     """Rewards of sumo."""
 
     centre: float = -0.1
@@ -166,7 +180,7 @@ class RingSumoReward(ContestReward):
 
 
 @dataclass(frozen=True)
-class KickAndDefendReward(ContestReward):
+class KickAndDefendReward(RolesReward):
     """Rewards of kick and defend."""
 
     touch: float = 0.5

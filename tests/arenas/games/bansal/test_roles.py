@@ -11,6 +11,8 @@ import arenas
 from arenas.contract.check import check_arena
 from arenas.contract.check_run import WORLDS
 from arenas.games.bansal.settings import ARENAS, YouShallNotPassRules, original_timing
+from arenas.games.terms import weights_of
+from league.commands.run.request import read
 from league.config import experiment
 from league.config.schema import ConfigError
 from tests.arenas.games.bansal.contests import built, put, state
@@ -114,6 +116,15 @@ def test_bad_settings_are_refused_in_one_line(lines, message):
         experiment.loads(f'[arena]\nname = "you-shall-not-pass"\n{lines}\n')
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["you-shall-not-pass", "kick-and-defend"])
+def test_games_of_roles_pay_no_draw_and_read_files_that_name_it(name):
+    former = experiment.loads(f'[arena]\nname = "{name}"\nreward.draw = -2.0\n')
+    assert former == experiment.default(name)
+    assert "draw" not in weights_of(former.arena.reward)
+    with pytest.raises(ConfigError, match=r"^--arena\.reward\.draw: it was removed, because this game has no term"):
+        read(["--arena.name", name, "--arena.reward.draw", "-2"])
 
 
 def test_a_ring_without_room_is_refused():
