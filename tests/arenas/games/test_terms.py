@@ -110,13 +110,13 @@ def test_scripts_see_nothing_of_what_follows_the_observation(file, name):
     plain = built(settings=arenas.settings(name))
     added = built(observations={"more": f"{file}:lengths"}, settings=arenas.settings(name))
     state, key = jax.jit(plain.reset)(jax.random.key(1)), jax.random.key(0)
-    seen = added.observe(state.physics, state.game, state.actions)
+    before, seen = (arena.observe(state.physics, state.game, state.actions) for arena in (plain, added))
     for agent in plain.agents:
         assert seen[agent.name].size == agent.observation_size + len(agent.name)  # another number for each agent
         for script, kinds in plain.scripts().items():
             if agent.kind in kinds:
                 action = added.scripts()[script][agent.kind](seen[agent.name], key)
-                np.testing.assert_array_equal(action, kinds[agent.kind](state.observations[agent.name], key))
+                np.testing.assert_array_equal(action, kinds[agent.kind](before[agent.name], key))
 
 
 def test_a_term_in_the_place_of_a_part_about_the_opponent_is_about_it_too(file):
