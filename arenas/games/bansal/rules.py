@@ -122,7 +122,7 @@ class KickAndDefendRules(ContestRules):
 class ContestReward(RewardTerms):
     """Rewards of all these games, which shape learning and never decide a game."""
 
-    ENDINGS = ("result", "draw")
+    ENDINGS = ("result",)
 
     result: float = field(default=1.0, metadata={"above": 0.0})
     """To the winner, and from the loser."""
@@ -137,6 +137,8 @@ class ContestReward(RewardTerms):
 @dataclass(frozen=True)
 class EqualsReward(ContestReward):
     """Rewards of games in which both have the same task."""
+
+    ENDINGS = ("result", "draw")
 
     draw: float = -1.0
     """To both where neither wins."""

@@ -42,3 +42,8 @@ def test_who_breaks_physics_pays_what_a_loss_costs(duel):
 )
 def test_the_worst_end_of_an_episode_is_that_of_the_arenas_settings(name, cost):
     assert void_penalty(configuration.default(name)) == cost
+
+
+@pytest.mark.parametrize("name", arenas.known())
+def test_every_arena_has_the_weights_that_it_names_for_the_worst_end(name):
+    assert void_penalty(configuration.default(name)) >= 1
