@@ -89,7 +89,7 @@ class Trainer:
         self._points: list[CurvePoint] = []  # of this turn
         self._meetings: list[Meeting] = []  # of this turn: results of each learner against each opponent
         self._recorder = TrainingRecorder(config, self.pool)
-        self._restarted = 0.0  # share of the worlds that were restarted for this turn's opponents
+        self._restarted = 0.0  # share of the worlds that began anew with this turn
         self.programs = programs or TrainingPrograms(config, arena)
         self._shapes = self._architectures()
         self._gpu_lock = GpuLock(devices.own(jax.default_backend()))
@@ -307,7 +307,9 @@ class Trainer:
         """Return the worlds and the compiled rollout, prepared here because neither counts as training time.
 
         Worlds whose matchup differs from the previous turn's are restarted, because an episode must not continue with a
-        new opponent. A change of the player that learns from a world always comes with another matchup.
+        new opponent. A change of the player that learns from a world always comes with another matchup. All worlds of
+        the group begin anew in a deterministic league, after a copy or a reset, and where this process has not done the
+        group's last turn.
         """
         self._restarted = 0.0
         worlds, before = self._worlds.pop(turn.group, (None, []))
@@ -321,6 +323,7 @@ class Trainer:
             keys = jax.random.split(self._key(turn, "worlds"), matchups.worlds)
             worlds = jax.block_until_ready(self.programs.reset(keys))
             self._critic_memories |= {name: [] for name in turn.present}
+            self._restarted = float(any(self.pool.counters[name].iteration for name in turn.present if name))
         stacks = self._policy_stacks(matchups)
         worlds = with_memory(worlds, stacks)
         return worlds, self.programs.rollout.ready(stacks, worlds, jax.random.key(0))

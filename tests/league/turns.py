@@ -59,9 +59,9 @@ def new_trainer(config, arena, store, worlds=None):
 _PROGRAMS = []
 
 
-def turns(store, config, arena, count):
-    """Let one worker do the next turns as planned; the trainer afterwards."""
-    trainer = new_trainer(config, arena, store)
+def turns(store, config, arena, count, trainer=None):
+    """Let one worker, which is new or has this trainer, do the next turns as planned; the trainer afterwards."""
+    trainer = trainer or new_trainer(config, arena, store)
     for _ in range(count):
         lease, turn = claim(store, config)
         for _ in trainer.turn(store, turn, lambda: False):

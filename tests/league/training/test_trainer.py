@@ -229,6 +229,18 @@ def test_worlds_whose_opponent_changed_begin_anew_and_it_is_counted(duel_store, 
     assert len(worlds.age) == 12
 
 
+@pytest.mark.parametrize("schedule", [Schedule(), Schedule("ladder", period=8)])
+def test_worlds_that_are_lost_begin_anew_and_it_is_counted(duel_store, duel, schedule):
+    config = lively(Opponents())
+    config = replace(config, training=replace(config.training, schedule=schedule))
+    trainer = turns(duel_store, config, duel, 5)  # to iterations 1, 2, 4, 8; then a ladder copies
+    turns(duel_store, config, duel, 1, trainer)
+    turns(duel_store, config, duel, 1)  # in another process
+    share = {p.iteration: p.values["begun_anew"] for p in duel_store.curves(LEAGUE, "blue")}
+    anew = {13, 9} if schedule.kind == "ladder" else {13}
+    assert share == {i: float(i in anew) for i in range(1, 17)}
+
+
 def test_a_worker_that_takes_over_goes_on_to_the_same_bytes(duel_store, duel, tmp_path):
     turns(duel_store, settings(), duel, 3)
     turns(duel_store, settings(), duel, 2)  # a fresh trainer, as after a kill
