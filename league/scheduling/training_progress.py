@@ -58,7 +58,15 @@ class GroupProgress:
 
     @property
     def retry(self) -> int:
-        """Number of setbacks of the group's players, which changes the random numbers of a repeated turn."""
+        """Number of setbacks of the players that learn, which changes the random numbers of a repeated turn.
+
+        A paused player keeps its setbacks, and the turns of the others do not repeat anything.
+        """
+        return sum(p.setbacks for p in self.players if p.paused is None)
+
+    @property
+    def setbacks(self) -> int:
+        """Number of setbacks of all players of the group, which never falls before one of them has learnt again."""
         return sum(p.setbacks for p in self.players)
 
 

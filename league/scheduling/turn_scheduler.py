@@ -56,7 +56,9 @@ def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | 
             _first_turn(state, name, group) if group.phase is None else _turn(config, state, name, group, group.phase)
         )
         # The number of iterations is in the key: a turn that a smaller budget cut short differs from its continuation.
-        about = [name, turn.phase, turn.learners, turn.iterations, dict(turn.bases), turn.retry]
+        # All setbacks are in it too, and not `turn.retry`, which is 0 again once the critic of a resting player has
+        # paused that player: such a turn has the learners and the bases of one that is done.
+        about = [name, turn.phase, turn.learners, turn.iterations, dict(turn.bases), group.setbacks]
         jobs.append(encode(config.league, turn, about, priority=1))
         phases += [group.phase] if group.phase is not None else []
     return Plan(tuple(jobs), tuple(phases), tuple(awaited))

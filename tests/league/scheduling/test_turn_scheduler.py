@@ -158,6 +158,28 @@ def test_a_paused_player_sits_on_and_learns_no_more():
     assert trained_enough(training(), league_state(players=none, checkpoints=checkpoints(4)))
 
 
+def test_setbacks_of_a_paused_player_repeat_no_turn_of_others_until_it_is_resumed():
+    at = checkpoints(4)
+    paused = (replace(PLAYERS[0], setbacks=2, paused="it diverged twice"), PLAYERS[1])
+    (turn,) = turns(training(), league_state(players=paused, checkpoints=at))
+    assert (turn.learners, turn.retry) == (("red",), 0)
+    resumed = (replace(paused[0], paused=None), PLAYERS[1])
+    (turn,) = turns(training(), league_state(players=resumed, checkpoints=at))
+    assert (turn.learners, turn.retry) == (("blue", "red"), 2)
+
+
+def test_turns_before_and_after_a_pause_are_other_jobs_even_where_the_same_player_learns():
+    config, at = training(schedule=Schedule("leapfrog", period=100)), checkpoints(4)
+    keys = []
+    for setbacks, reason in ((0, None), (1, None), (2, "its critic diverged twice"), (2, None)):  # red rests
+        players = (PLAYERS[0], replace(PLAYERS[1], setbacks=setbacks, paused=reason))
+        (job,) = turn_scheduler.next_turns(config, league_state(players=players, checkpoints=at)).jobs
+        assert decode(job).learners == ("blue",)
+        keys.append(job.key)
+    assert len(set(keys[:3])) == 3
+    assert keys[3] not in keys[:2]
+
+
 def test_a_budget_in_steps_is_met_within_one_iteration():
     config = replace(training(iterations_per_turn=100), budget=configuration.Budget(steps=10 * 8192 + 1))
     (turn,) = turns(config, league_state(checkpoints=checkpoints(8)))

@@ -322,6 +322,18 @@ def test_a_nan_in_an_actor_is_noticed_at_once_and_nothing_is_written(duel_store,
     assert next(p for p in duel_store.players(LEAGUE) if p.name == "red").setbacks == 0
 
 
+def test_worlds_of_those_who_learn_on_live_on_after_a_player_was_paused(duel_store, duel):
+    config = lively(Opponents())
+    trainer = turns(duel_store, config, duel, 3)
+    for _ in range(2):
+        lease, _ = claim(duel_store, config)
+        duel_store.record_setback(lease, "blue", "blue diverged")
+    turns(duel_store, config, duel, 3, trainer)
+    points = [p for p in duel_store.curves(LEAGUE, "red") if p.iteration > 2]
+    assert len(points) == 10
+    assert not any(p.values["begun_anew"] for p in points)
+
+
 def test_a_dense_reward_that_is_not_finite_is_named_with_the_command_that_tells_more(duel_store, duel, monkeypatch):
     config = settings()
     trainer = turns(duel_store, config, duel, 1)
