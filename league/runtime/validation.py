@@ -72,8 +72,9 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
 def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
     """Return a line if worlds begin anew before half of them can play the arena's longest game to its end.
 
-    All worlds of a deterministic league begin anew every turn, and in leapfrog those against the learner's history
-    every phase. The first episode of each is cut at random, up to the longest, so all of them can after two longest.
+    All worlds of a deterministic league begin anew every turn, in ladder all of them every phase, and in leapfrog those
+    against the learner's history every phase. The first episode of each is cut at random, up to the longest, so all of
+    them can after two longest.
     """
     training, schedule, decisions = config.training, config.training.schedule, arena.timing.decisions
     rollout, enough = training.rollout_length, -(-2 * decisions // training.rollout_length)
@@ -81,8 +82,9 @@ def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
     if config.deterministic:
         span, what = training.iterations_per_turn * rollout, "in a deterministic league worlds begin anew every turn"
         mend = f"iterations_per_turn = {enough}"
-    elif schedule.kind == "leapfrog" and past:
-        what = "in leapfrog worlds against past opponents begin anew every phase"
+    elif schedule.kind == "ladder" or (schedule.kind == "leapfrog" and past):
+        which = "" if schedule.kind == "ladder" else " against past opponents"
+        what = f"in {schedule.kind} worlds{which} begin anew every phase"
         if schedule.period_steps is None:
             span, mend = schedule.period * rollout, f"schedule.period = {enough}"
         else:

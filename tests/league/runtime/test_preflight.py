@@ -102,6 +102,21 @@ def test_phases_of_leapfrog_that_are_shorter_than_games_are_told_where_there_is_
     assert not early_restarts(duel(training=training), lasting(1500), 64)  # the newest opponents alone
 
 
+@pytest.mark.parametrize(
+    ("schedule", "span", "mend"),
+    [
+        (Schedule("ladder", period=40), "1,920", "schedule.period = 63"),
+        (Schedule("ladder", period_steps=99_999), "1,563", "schedule.period_steps = 193536"),
+    ],
+)
+def test_phases_of_ladder_that_are_shorter_than_games_are_told(schedule, span, mend):
+    config = duel(training=replace(duel().training, rollout_length=48, schedule=schedule))
+    (line,) = early_restarts(config, lasting(1500), 64)
+    assert f"in ladder worlds begin anew every phase, after {span} decisions" in line
+    assert f"{mend} or more" in line
+    assert not early_restarts(config, lasting(1042), 64)
+
+
 def test_scripts_by_which_training_ends_are_in_the_pool_whatever_is_rated():
     config = duel(rating=replace(duel().rating, scripts=("random",)))
     assert scripts(config, validate(config)) == ("random",)
