@@ -1,5 +1,6 @@
 """Curves of a metric over steps, with bands: the mean and the range over the leagues of a cell."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,31 +68,52 @@ def bands(found: Sequence[Cell], metric: str) -> list[Band]:
 
 
 def _curve(member: Member, metric: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps and values (n,) of a league: the mean over its players where several have one at a step."""
-    if metric in OF_SNAPSHOTS:
-        opened = member.opened
-        shown = opened.shown()
-        steps = {s.name: s.step for s in shown.snapshots if s.player}
-        rows = rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
-        rated = [row for row in rows if metric != "elo" or row["known"]]
-        points = [(steps[r["name"]], r[metric]) for r in rated if r["name"] in steps and r[metric] is not None]
-    else:
-        points = [(p.step, p.values[metric]) for p in member.opened.points() if metric in p.values]
-    if not points:
+    """Return steps and values (n,) of a league: the mean over its players, between whose points it is interpolated."""
+    players = defaultdict[str, list[tuple[int, float]]](list)
+    for player, step, value in _points(member, metric):
+        players[player].append((step, value))
+    if not players:
         return np.zeros(0), np.zeros(0)
-    x, y = np.array(sorted(points), float).T
+    steps, values = _aligned([_of_player(points) for points in players.values()])
+    return steps, values.mean(0)
+
+
+def _points(member: Member, metric: str) -> list[tuple[str, int, float]]:
+    """Return player, step and value of each point of a league."""
+    opened = member.opened
+    if metric not in OF_SNAPSHOTS:
+        return [(p.player, p.step, p.values[metric]) for p in opened.points() if metric in p.values]
+    shown = opened.shown()
+    steps = {s.name: s.step for s in shown.snapshots if s.player}
+    rows = rating_rows(shown.ladders[0], shown.snapshots, shown.players, shown.void_limit)
+    rated = [row for row in rows if metric != "elo" or row["known"]]
+    return [(r["player"], steps[r["name"]], r[metric]) for r in rated if r["player"] and r[metric] is not None]
+
+
+def _of_player(points: Sequence[tuple[int, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps and values (n,) of a player: the mean of its values where it has several at a step."""
+    x, y = np.array(points, float).T
     steps, place = np.unique(x, return_inverse=True)
     return steps, np.bincount(place, y) / np.bincount(place)
+
+
+def _aligned(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps (n,) of all curves from the latest first to the earliest last one, and their values (curves, n).
+
+    Outside these steps a mean would jump where one of the curves begins or ends.
+    """
+    begin, end = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
+    at = np.unique(np.concatenate([steps for steps, _ in curves]))
+    at = at[(at >= begin) & (at <= end)] if end >= begin else np.array([end])
+    return at, np.stack([np.interp(at, steps, own) for steps, own in curves])
 
 
 def _band(text: str, curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> Band | None:
     known = [(steps, values) for steps, values in curves if len(steps)]
     if not known:
         return None
-    begin, end = max(steps[0] for steps, _ in known), min(steps[-1] for steps, _ in known)
-    at = np.unique(np.concatenate([steps for steps, _ in known]))
-    at = at[(at >= begin) & (at <= end)] if end >= begin else np.array([end])
+    at, values = _aligned(known)
     if len(at) > POINTS:
-        at = at[np.unique(np.linspace(0, len(at) - 1, POINTS).round().astype(int))]
-    values = np.stack([np.interp(at, steps, own) for steps, own in known])
+        shown = np.unique(np.linspace(0, len(at) - 1, POINTS).round().astype(int))
+        at, values = at[shown], values[:, shown]
     return Band(text, len(known), at, values.mean(0), values.min(0), values.max(0))

@@ -5,9 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from league.queries.query import Open
 from league.runs.comparison.cell_ranks import ranked, verdict
 from league.runs.comparison.cells import Cell, Member
-from league.runs.comparison.curve_bands import _band
+from league.runs.comparison.curve_bands import _band, _curve
+from storage.records import CurvePoint
+from tests.league.leagues import filled, finish, match
 
 
 def cell(text: str, *names: str) -> Cell:
@@ -29,6 +32,23 @@ def test_a_band_is_the_mean_and_range_of_leagues_up_to_the_last_common_step():
     assert band.high.tolist() == [0.5, 1.0, 1.0]
     assert band.at(15) == (0.5, 0.25, 0.75)
     assert _band("none", [(np.zeros(0), np.zeros(0))]) is None
+
+
+def test_a_league_has_the_mean_of_its_players_between_whose_points_it_is_interpolated(tmp_path):
+    recorded = {"blue": {100: 0.9, 200: 0.7, 400: 0.9}, "red": {150: 0.1, 250: 0.3}}
+    points = [
+        CurvePoint("cup", name, i, step, float(i), {"score": value})
+        for name, values in recorded.items()
+        for i, (step, value) in enumerate(values.items(), 1)
+    ]
+    with filled(tmp_path, match("blue@1", "blue@0", 60, 40), match("red@4", "red@0", 80, 20)) as store:
+        finish(store, curves=points, matches=[match("blue@4", "blue@0", 90, 10)])
+        member = Member(Open(store, "cup"), "cup", {})
+        steps, values = _curve(member, "score")
+        assert steps.tolist() == [150, 200, 250]
+        assert values.tolist() == pytest.approx([(0.8 + 0.1) / 2, (0.7 + 0.2) / 2, (0.75 + 0.3) / 2])
+        steps, values = _curve(member, "vs_initial")
+        assert (steps.tolist(), values.tolist()) == ([400], [pytest.approx((0.9 + 0.8) / 2)])
 
 
 def test_a_cell_has_the_interval_of_its_leagues_and_a_single_league_that_of_its_ratings():
