@@ -164,3 +164,11 @@ def check_roles(declared: Sequence[Role], used: Sequence[str]) -> None:
 def is_exploiter(role: str) -> bool:
     """Return True for roles that search for others' weaknesses: main_exploiter, league_exploiter and the like."""
     return "exploiter" in role
+
+
+def without_exploiters(roles: Mapping[str, str]) -> set[str]:
+    """Return the names whose role is no exploiter's: they tell how strong a league is. Without any, return all.
+
+    An exploiter learns against a weakness of others and is reset again and again, so its score says little of a league.
+    """
+    return {name for name, role in roles.items() if not is_exploiter(role)} or {*roles}

@@ -11,6 +11,7 @@ from scipy.stats import t as student
 from league.queries.ratings.rating_rows import Row
 from league.runs.comparison.cells import Cell
 from matchmaking.ratings.scores import quantile
+from matchmaking.roles import without_exploiters
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,12 @@ class CellRank:
 def ranked(found: Sequence[Cell], rows: Sequence[Row], merit: str) -> list[CellRank]:
     """Return the cells with a known mean, best first.
 
-    A league counts with the mean of its players. Over several leagues the interval is Student's, which holds what seeds
-    and ratings vary; of one league it is that of its ratings.
+    A league counts with the mean of its players that are no exploiters, or of all if there are no others. Over several
+    leagues the interval is Student's, which holds what seeds and ratings vary; of one league it is that of its ratings.
 
     Args:
         found: the cells.
-        rows: the ladder's rows, each with its `league`.
+        rows: the ladder's rows, each with its `league` and the player's `role`.
         merit: `elo` or `success`.
     """
     ranks = []
@@ -92,9 +93,12 @@ def _quantile(leagues: int) -> float:
 
 
 def _league(name: str, rows: Sequence[Row], merit: str) -> tuple[float, float] | None:
-    """Return the mean of a league's players and half of its interval; None if none of them is known."""
+    """Return the mean of a league's players and half of its interval; None if none that counts is known."""
     low, high = ("low", "high") if merit == "elo" else (f"{merit}_low", f"{merit}_high")
-    own = [r for r in rows if r["league"] == name and r[merit] is not None and (r["known"] or merit != "elo")]
+    of_league = [r for r in rows if r["league"] == name]
+    counted = without_exploiters({r["name"]: r["role"] for r in of_league})
+    known = [r for r in of_league if r[merit] is not None and (r["known"] or merit != "elo")]
+    own = [r for r in known if r["name"] in counted]
     if not own:
         return None
     half = [(r[high] - r[low]) / 2 for r in own]

@@ -32,7 +32,8 @@ class Entry:
     member: Member
     original: Snapshot
     copy: Snapshot
-    player: Player
+    player: Player  # the copy's
+    role: str  # of the original's player
 
 
 class CrossPlay:
@@ -76,11 +77,11 @@ class CrossPlay:
         return Ladder(pool, [m for m in log if names.issuperset(m.players)])
 
     def rows(self, ladder: Ladder) -> list[Row]:
-        """Return the rows of the ladder, best first, each with its league."""
+        """Return the rows of the ladder, best first, each with its league and the role that its player has there."""
         of = {entry.copy.name: entry for entry in self.entries}
         copies, players = [e.copy for e in self.entries], [e.player for e in self.entries]
         rows = rating_rows(ladder, copies, players)
-        return [{**row, "league": of[row["name"]].member.name} for row in rows]
+        return [{**row, "league": of[row["name"]].member.name, "role": of[row["name"]].role} for row in rows]
 
     def _entries(self, member: Member) -> Iterator[Entry]:
         players = {p.name: p for p in member.opened.store.players(member.opened.league)}
@@ -94,7 +95,7 @@ class CrossPlay:
                 snapshot, league=self.league, name=f"{prefix}.{snapshot.name}", player=player.name, parent=None,
                 initial=False, settings="",
             )  # fmt: skip
-            yield Entry(member, snapshot, copy, player)
+            yield Entry(member, snapshot, copy, player, own.role)
 
     def _refuse_strangers(self, players: Sequence[Player]) -> None:
         rosters = {p.roster for p in players}

@@ -9,6 +9,7 @@ import numpy as np
 from league.config.schema import ConfigError
 from league.queries.ratings.rating_rows import rating_rows
 from league.runs.comparison.cells import Cell, Member
+from league.runs.sweeps.objective import measured_players
 
 OF_SNAPSHOTS = ("vs_initial", "success", "elo")
 """Metrics of rated snapshots, from each league's own ladder; all others are recorded in each learning iteration."""
@@ -68,13 +69,17 @@ def bands(found: Sequence[Cell], metric: str) -> list[Band]:
 
 
 def _curve(member: Member, metric: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps and values (n,) of a league: the mean over its players, between whose points it is interpolated."""
-    players = defaultdict[str, list[tuple[int, float]]](list)
+    """Return steps and values (n,) of a league: the mean over the players by which it is measured.
+
+    Between the points of a player its curve is interpolated.
+    """
+    measured, points = measured_players(member.opened), defaultdict[str, list[tuple[int, float]]](list)
     for player, step, value in _points(member, metric):
-        players[player].append((step, value))
-    if not players:
+        if player in measured:
+            points[player].append((step, value))
+    if not points:
         return np.zeros(0), np.zeros(0)
-    steps, values = _aligned([_of_player(points) for points in players.values()])
+    steps, values = _aligned([_of_player(each) for each in points.values()])
     return steps, values.mean(0)
 
 

@@ -57,8 +57,8 @@ class SweepSettings:
     trials: int | None = field(default=None, metadata={"low": 1, "high": 100_000})
     """Points of the grid's ranges to try; needed where there is a range."""
     objective: Objective = "vs_initial"
-    """The value that a search makes large, of each player's newest rated snapshot: its score against its initial
-    opponents (in an arena of one team its success), or its Elo on the league's own ladder."""
+    """The value that a search makes large, of the newest rated snapshot of each player but exploiters: its score
+    against its initial opponents (in an arena of one team its success), or its Elo on the league's own ladder."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is no seed, or one twice."""

@@ -1,24 +1,31 @@
 """Curves with bands and ranks of cells, on figures that can be worked out by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from league.config.experiment import default
+from league.config.sections import PlayerSettings
 from league.queries.query import Open
 from league.runs.comparison.cell_ranks import ranked, verdict
 from league.runs.comparison.cells import Cell, Member
+from league.runs.comparison.cross_play import CrossPlay
 from league.runs.comparison.curve_bands import _band, _curve
+from league.runtime.bootstrap import create
 from storage.records import CurvePoint
-from tests.league.leagues import filled, finish, match
+from storage.store import Store
+from tests.league.leagues import filled, finish, match, player, snapshot
 
 
 def cell(text: str, *names: str) -> Cell:
     return Cell(text, {"lr": text}, [Member(None, name, {}) for name in names])  # type: ignore[arg-type]
 
 
-def row(league: str, elo: float, half: float = 10.0, known: bool = True) -> dict:
-    return {"league": league, "elo": elo, "low": elo - half, "high": elo + half, "known": known}
+def row(league: str, elo: float, half: float = 10.0, known: bool = True, role: str = "main") -> dict:
+    own = {"league": league, "name": f"{league}-{elo}", "role": role, "known": known}
+    return {**own, "elo": elo, "low": elo - half, "high": elo + half}
 
 
 def test_a_band_is_the_mean_and_range_of_leagues_up_to_the_last_common_step():
@@ -58,6 +65,39 @@ def test_a_cell_has_the_interval_of_its_leagues_and_a_single_league_that_of_its_
     error = 12.7062 * math.sqrt(200) / math.sqrt(2)  # Student's quantile of one degree of freedom
     assert first.high - first.mean == pytest.approx(error, rel=1e-4)
     assert (second.leagues, second.low, second.high) == (1, pytest.approx(890), pytest.approx(910))
+
+
+def test_exploiters_do_not_count_for_a_cell_unless_its_league_has_no_other_player():
+    rows = [row("a", 1100), row("a", 700, role="main_exploiter"), row("b", 900, role="league_exploiter")]
+    rows += [row("c", 1300, known=False), row("c", 1200, role="main_exploiter")]
+    ranks = ranked([cell(name, name) for name in "abc"], rows, "elo")
+    assert [(rank.cell.text, rank.mean) for rank in ranks] == [("a", 1100), ("b", 900)]
+
+
+def test_players_keep_their_roles_on_the_ladder_of_cross_play(tmp_path):
+    roles = {"blue": "main", "red": "main", "hunter": "main_exploiter"}
+    teams = [("blue", "blue"), ("red", "red"), ("red", "hunter")]
+    settings = tuple(PlayerSettings(team, name, roles[name]) for team, name in teams)
+    config = replace(default("rock-paper-scissors"), league="cup", players=settings)
+    with Store.open(tmp_path, create=True) as store:
+        create(store, config, config.arena.build())
+        blob = store.blobs.put(b"policy")
+        store.add_snapshots([snapshot(each, 1, blob) for each in store.players("cup")])
+        crossed = CrossPlay([Member(Open(store, "cup"), "cup", {})], store)
+        rows = crossed.rows(crossed.ladder())
+        assert {row["player"]: row["role"] for row in rows} == {f"cup.{name}": role for name, role in roles.items()}
+
+
+def test_a_curve_is_that_of_players_that_learn_and_are_no_exploiters(tmp_path):
+    with filled(tmp_path, match("blue@4", "blue@0", 90, 10), match("red@4", "red@0", 80, 20)) as store:
+        others = [replace(player("hunter", 1), role="main_exploiter"), player("at-rest", 1)]
+        store.add_players(others)
+        blob = store.blobs.put(b"policy")
+        store.add_snapshots([snapshot(others[0], 1, blob), *(snapshot(each, 0, blob) for each in others)])
+        finish(store, matches=[match("hunter@1", "hunter@0", 50, 50), match("at-rest@0", "red@0", 50, 50)])
+        steps, values = _curve(Member(Open(store, "cup"), "cup", {}), "vs_initial")
+        assert (steps[-1], values[-1]) == (400, pytest.approx(0.85))
+        assert _curve(Member(Open(store, "cup"), "cup", {}), "elo")[0][-1] == 400
 
 
 def test_the_best_cell_is_named_as_sure_only_where_it_is():

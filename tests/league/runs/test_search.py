@@ -1,6 +1,7 @@
 """A search by Optuna: its points become leagues, it goes on from the store, and it says what it lacks."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,10 @@ import pytest
 from league.queries.query import Open
 from league.runs.sweeps import search, sweep_file
 from league.runs.sweeps.objective import objective, too_early
+from storage.records import Checkpoint
 from storage.store import Store
 from tests.league.conftest import said
-from tests.league.leagues import filled, finish, match
+from tests.league.leagues import C, filled, finish, match, player, snapshot
 
 TEXT = """
 arena.name = "rock-paper-scissors"
@@ -60,6 +62,18 @@ def test_an_objective_of_snapshots_from_the_first_half_of_training_says_so(tmp_p
         finish(store, matches=[match("blue@4", "blue@0", 80, 20)])
         assert objective(found) == pytest.approx(0.75)
         assert too_early(found) == ""
+
+
+def test_exploiters_do_not_count_for_an_objective_unless_nobody_else_has_learnt(tmp_path):
+    hunter = replace(player("hunter", 1), role="main_exploiter")
+    with filled(tmp_path, match("blue@4", "blue@0", 80, 20), match("red@4", "red@0", 90, 10)) as store:
+        store.add_players([hunter])
+        put = store.blobs.put
+        store.add_snapshots([snapshot(hunter, i, put(f"hunter@{i}".encode())) for i in (0, 1)])
+        finish(store, checkpoints=[Checkpoint("cup", "hunter", put(b"new"), 4000, 40, 4000.0, C)])
+        finish(store, matches=[match("hunter@1", "hunter@0", 50, 50)])
+        assert objective(Open(store, "cup")) == pytest.approx(0.85)
+        assert too_early(Open(store, "cup")) == ""
 
 
 @pytest.mark.slow
