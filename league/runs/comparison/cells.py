@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from league.config.schema import ConfigError
+from league.matches.exploitability import INFIX
 from league.queries.query import Open
 from league.runs.sweeps.run_state import flat_settings
 from league.state.curriculum_stage import course
@@ -83,10 +84,15 @@ def _cell(group: Sequence[Member], differ: Sequence[str]) -> Cell:
 
 
 def _matching(store: Store, pattern: str) -> Iterator[str]:
-    """Yield the leagues that a name or a pattern means; a pattern means no stages and no cross-play."""
+    """Yield the leagues that a name or a pattern means; a pattern means no stages, no cross-play and no attacks.
+
+    A pattern with the infix of attacks means these.
+    """
     for league in store.leagues():
         if league.name == pattern:
             yield league.name
+        elif INFIX in league.name and INFIX not in pattern:
+            continue  # a league of `league exploit` has the settings of one attack: it would be a cell of its own
         elif any(c in pattern for c in "*?[") and fnmatchcase(league.name, pattern):
             of = course(store, league.name)
             own = of is None and not league.name.startswith(CROSS_PLAY) and not holds_copies(store, league.name)
