@@ -3,21 +3,19 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
 from league.config.schema import ConfigError
 from league.matches.exploitability import INFIX
 from league.queries.query import Open
-from league.runs.sweeps.run_state import flat_settings
+from league.runs.comparison.warm_starts import WarmStarts
 from league.state.curriculum_stage import course
 from matchmaking.roles import FIXED
 from storage.errors import UnknownName
 from storage.store import Store
 
-OWN = ("league", "seed", "workers", "storage", "after")
-"""Settings that do not make another cell."""
 SHOWN = 4  # most settings of a cell that its text names
 CROSS_PLAY = "cross-play"
 """The beginning of the names of leagues that hold the matches of comparisons; patterns leave them out."""
@@ -59,7 +57,8 @@ def members(names: Sequence[str], sweep: str | None, store: Store, until: ExitSt
     unique = list({(m.opened.store.where, m.opened.league): m for m in found}.values())
     if not unique:
         raise ConfigError((), "league compare needs leagues: names, patterns such as 'lr.*', or --sweep NAME")
-    return [Member(m.opened, m.name, _of_cell(m.opened)) for m in unique]
+    starts = WarmStarts([m.opened for m in unique])
+    return [replace(m, settings=starts.of_cell(m.opened.store, m.opened.league)) for m in unique]
 
 
 def cells(found: Sequence[Member]) -> list[Cell]:
@@ -104,11 +103,6 @@ def holds_copies(store: Store, league: str) -> bool:
     """Return whether a league holds the matches of comparisons: all its players are copies from other leagues."""
     found = store.players(league)
     return bool(found) and all(p.role == FIXED.name and p.name.startswith(f"{p.group}.") for p in found)
-
-
-def _of_cell(opened: Open) -> dict[str, Any]:
-    text = opened.store.league(opened.league).config
-    return {key: value for key, value in flat_settings(text).items() if key.partition(".")[0] not in OWN}
 
 
 def _sweeps(store: Store) -> list[str]:
