@@ -17,6 +17,7 @@ from league.state.team_exchange import as_made
 from league.system import devices, memory
 from league.system.arena_build import build, rating_batch, worlds
 from league.training.reward_shaping import chance_score
+from league.training.world_starts import renewal
 from matchmaking.opponents import Opponents
 from storage.errors import StorageError
 from storage.records import Player
@@ -72,16 +73,15 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
 def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
     """Return a line if worlds begin anew before half of them can play the arena's longest game to its end.
 
-    All worlds of a deterministic league begin anew every turn, in ladder all of them every phase, and in leapfrog those
-    against the learner's history every phase. The first episode of each is cut at random, up to the longest, so all of
-    them can after two longest.
+    All worlds of a deterministic league begin anew every turn, those of groups that move between workers nearly so, in
+    ladder all of them every phase, and in leapfrog those against the learner's history every phase. The first episode
+    of each is cut at random, up to the longest, so all of them can after two longest.
     """
     training, schedule, decisions = config.training, config.training.schedule, arena.timing.decisions
     rollout, enough = training.rollout_length, -(-2 * decisions // training.rollout_length)
     past = any(rule.share for _, rule in rules(config, [team.name for team in arena.teams]))
-    if config.deterministic:
-        span, what = training.iterations_per_turn * rollout, "in a deterministic league worlds begin anew every turn"
-        mend = f"iterations_per_turn = {enough}"
+    if what := renewal(config):
+        span, mend = training.iterations_per_turn * rollout, f"iterations_per_turn = {enough}"
     elif schedule.kind == "ladder" or (schedule.kind == "leapfrog" and past):
         which = "" if schedule.kind == "ladder" else " against past opponents"
         what = f"in {schedule.kind} worlds{which} begin anew every phase"

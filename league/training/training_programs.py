@@ -7,6 +7,7 @@ from agents.rollout.rollout import make_rollout
 from arenas.arena import Arena
 from league.config.experiment import Config
 from league.system.compiled import Compiled
+from league.training.world_starts import settles
 
 
 class _Setting(NamedTuple):
@@ -21,9 +22,7 @@ class _Setting(NamedTuple):
     @classmethod
     def of(cls, config: Config, arena: Arena) -> "_Setting":
         training, learner = config.training, config.learner
-        # In a deterministic league worlds begin anew every turn; of short turns no episode would ever count.
-        settle = training.stagger and (not config.deterministic or training.outlasts(arena.timing.decisions))
-        privileged = learner.critic_input == "privileged"
+        settle, privileged = settles(config, arena.timing.decisions), learner.critic_input == "privileged"
         return cls(training.rollout_length, training.stagger, settle, learner.sequence, privileged)
 
 

@@ -20,6 +20,7 @@ from league.runtime.preflight import prepare
 from league.runtime.validation import early_restarts, roster, scripts, validate
 from league.system import devices
 from league.system.arena_build import worlds
+from league.training.world_starts import settles
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.store import Store
@@ -75,6 +76,19 @@ def test_worlds_that_begin_anew_before_games_can_end_are_told():
     assert not early_restarts(replace(config, training=replace(training, iterations_per_turn=63)), lasting(1500), 64)
     assert not early_restarts(config, lasting(512), 64)
     assert not early_restarts(replace(config, deterministic=False), lasting(1500), 64)
+
+
+def test_groups_that_move_between_workers_are_told_where_their_worlds_begin_anew_too_soon():
+    players = tuple(PlayerSettings(team, group=group) for team in ("blue", "red") for group in "123")
+    config = duel(players=players, workers=replace(duel().workers, train=2))
+    (line,) = early_restarts(config, lasting(1500), 64)
+    assert "3 groups of players move between 2 train workers" in line
+    assert "after 512 decisions" in line
+    assert not settles(config, 1500)
+    for other in (config.workers.train + 1, 1):
+        alone = replace(config, workers=replace(config.workers, train=other))
+        assert not early_restarts(alone, lasting(1500), 64)
+        assert settles(alone, 1500)
 
 
 def test_what_is_prepared_tells_of_early_restarts(tmp_path, monkeypatch):
