@@ -53,11 +53,15 @@ def thaw(store: Store, snapshot: Snapshot, arena: Arena) -> list[Policy]:
     return [*learnt_policies(tensors, snapshot, arena)]
 
 
-def learnt_policies(tensors: Mapping[str, np.ndarray], snapshot: Snapshot, arena: Arena) -> list[Params]:
-    """Return the learnt policies in a snapshot's arrays, one per agent of its roster. See `thaw`."""
+def learnt_policies(tensors: Mapping[str, np.ndarray], snapshot: Snapshot, arena: Arena | None) -> list[Params]:
+    """Return the learnt policies in a snapshot's arrays, one per agent of its roster. See `thaw`.
+
+    Without an `arena` they stay as they are.
+    """
+    moved = arena is not None and elsewhere(snapshot, arena)
     prefixes = [f"{i}/" for i in range(len(roster_agents(snapshot.roster)))]
     own = [{k.removeprefix(p): v for k, v in tensors.items() if k.startswith(p)} for p in prefixes]
-    return [policy_params(silence_constant_inputs(policy) if elsewhere(snapshot, arena) else policy) for policy in own]
+    return [policy_params(silence_constant_inputs(policy) if moved else policy) for policy in own]
 
 
 def add_scripts(store: Store, league: str, arena: Arena, names: Sequence[str] | None) -> None:

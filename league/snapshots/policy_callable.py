@@ -1,6 +1,7 @@
 """A snapshot as a callable from observations to actions, in NumPy: learnt, scripted or imported."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import jax
@@ -12,14 +13,15 @@ from agents.policy.jax_policy import (
     Params,
     mean_action,
     memory_size,
-    policy_params,
     sample,
     stack_policies,
     update_memory,
 )
 from agents.policy.skill_arrays import is_over_skills, strategy_of
 from agents.policy.skills import held_choice, skilled_actions
+from arenas.arena import Arena
 from league.config import experiment
+from league.snapshots.codec import learnt_policies
 from league.snapshots.programs import stored
 from league.snapshots.programs.model import AgentSizes
 from storage.blobs import arrays, programs
@@ -73,8 +75,9 @@ class PolicyCallable:
 
 
 def policy_callable(league: "Open", name: str, seed: int = 0) -> PolicyCallable:
-    """Return a snapshot of a league as a callable; a script builds the arena first.
+    """Return a snapshot of a league as a callable that acts as in the league's matches.
 
+    Of a script, and to know whether a policy learnt elsewhere, the league's arena is built first.
     Raises UnknownName, StorageError or ConfigError, one line.
     """
     snapshot = league.snapshot(name)
@@ -86,9 +89,8 @@ def policy_callable(league: "Open", name: str, seed: int = 0) -> PolicyCallable:
         hosts = stored.host_policies(data, snapshot.name)
         seats = [_hosted(host, agent.action) for host, agent in zip(hosts, agents, strict=True)]
     else:
-        found = arrays.from_bytes(data)
-        own = [{k.partition("/")[2]: v for k, v in found.items() if k.startswith(f"{i}/")} for i in range(len(agents))]
-        seats = [_learnt(policy_params(policy)) for policy in own]
+        arena = None if snapshot.arena is None else _arena(_settings(league))
+        seats = [_learnt(policy) for policy in learnt_policies(arrays.from_bytes(data), snapshot, arena)]
     return PolicyCallable(snapshot, agents, seats, seed)
 
 
@@ -146,11 +148,20 @@ def _hosted(host: HostPolicy, size: int) -> Seat:
 
 
 def _scripted(league: "Open", script: str, agents: Sequence[AgentSizes]) -> list[Seat]:
-    config = experiment.loads(league.store.league(league.league).config)
-    kinds = config.arena.build(engine="c", threads=1).scripts()[script]
+    kinds = _arena(_settings(league)).scripts()[script]
 
     def seat(agent: AgentSizes) -> Seat:
         batched = jax.jit(jax.vmap(kinds[agent.kind]))
         return lambda seen, key, *_: np.asarray(batched(jnp.asarray(seen), jax.random.split(key, len(seen))))
 
     return [seat(agent) for agent in agents]
+
+
+def _settings(league: "Open") -> str:
+    return league.store.league(league.league).config
+
+
+@lru_cache(maxsize=1)  # who asks for many policies of a league does not wait for its arena each time
+def _arena(settings: str) -> Arena:
+    """Return the arena of a league with these settings."""
+    return experiment.loads(settings).arena.build(engine="c", threads=1)

@@ -3,12 +3,18 @@
 import numpy as np
 import pytest
 
+import arenas
+from agents.policy.jax_policy import mean_action
+from agents.policy.networks import Actor
+from agents.settings import Architecture
 from arenas.rosters import AgentSizes, roster_text
+from league.config.experiment import Config, dumps
 from league.queries.query import Open
-from league.snapshots.codec import freeze
+from league.snapshots.codec import freeze, thaw
 from league.snapshots.policy_callable import policy_callable
-from storage.records import League, Player, Snapshot
+from storage.records import ArenaKey, League, Player, Snapshot
 from storage.store import Store
+from tests.league.snapshots.scrambled import scrambled_arrays
 from tests.league.snapshots.test_program_export import KINDS, by_numpy, scrambled
 
 
@@ -59,3 +65,23 @@ def test_one_world_is_a_row_and_drawn_actions_differ_from_the_mean(opened):
 def test_observations_of_another_size_are_refused(opened):
     with pytest.raises(ValueError, match=r"blue@0 takes observations \(n, 4\) or \(4,\), and got \(2, 3\)"):
         policy_callable(opened, "blue@0")(np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("elsewhere", [True, False])
+def test_a_policy_acts_as_in_matches_wherever_it_learnt(elsewhere, tmp_path):
+    settings = arenas.settings("tests/arenas/race.py:race")
+    arena = settings.build(engine="c", threads=1)
+    roster = arena.teams[0].roster
+    policy = scrambled_arrays(Actor(6, 2, Architecture((7, 6)), 0.8))
+    policy["trunk.observation_var"][[1, 4]] = 0.0  # inputs that never moved where it learnt
+    learnt = ArenaKey("race", "another" if elsewhere else arena.config_hash, "c")
+    with Store.open(tmp_path, create=True) as store:
+        store.create_league(League("cup", dumps(Config(arena=settings))))
+        store.add_players([Player("cup", "blue", 0, "main", roster)])
+        store.add_snapshots([Snapshot("cup", "moved", store.blobs.put(freeze([policy])), roster, arena=learnt)])
+        found = policy_callable(Open(store, "cup"), "moved")
+        (played,) = thaw(store, store.snapshots("cup")[0], arena)
+    seen = np.random.default_rng(0).normal(size=(5, 6)).astype(np.float32)
+    np.testing.assert_allclose(found(seen), mean_action(played, seen), atol=1e-5)
+    other = seen + np.eye(6, dtype=np.float32)[4]
+    assert np.allclose(found(other), found(seen)) == elsewhere
