@@ -52,7 +52,7 @@ class BenchOptions:
     """Steps of fresh attackers, which learn for so many and for three times as many (none: not measured), in
     whole iterations."""
     attackers: int = field(default=1, metadata={"low": 1, "high": 16})
-    """Attackers of each policy, each with a seed of its own."""
+    """Attackers of each policy, each with a seed of its own; the best of several is scored by further games."""
     curve: str | None = None
     """A CSV file with lines SECONDS,FILE: policies of one training and their times, for the seconds to 75 %."""
     against: tuple[str, ...] = ()

@@ -106,7 +106,11 @@ def _attacked(entry: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> str
     if not found:
         return "not measured"
     most = max(found, key=lambda each: each["score"])
-    return f"attackers score {_percent(most)} after {most['attacker_steps']:,} steps"
+    several, games = len({row["attacker_seed"] for row in entry["attacks"]}), "the games that chose it"
+    if any(row.get("again") for row in entry["attacks"]):
+        games = "games of its own"
+    of = f", the best of {several} in {games}" if several > 1 else ""
+    return f"attackers score {_percent(most)} after {most['attacker_steps']:,} steps{of}"
 
 
 def _cross_play(entry: Mapping[str, Any]) -> str | None:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,10 @@ import pytest
 from dashboards.web.document import document
 from league.commands import cli
 from league.matches.exact_exploitability import KnownGame
+from league.matches.exploitability import begin
 from league.runs.bench import attackers, bench_page, entrants, entry_file, references, rerating
+from league.runs.bench.games import bench_league
+from league.runs.bench.partial_rows import PartialRows
 from league.runs.bench.tasks import TASKS
 from tests.league.conftest import said, start
 from tests.league.runs.bench.files import network
@@ -285,6 +289,29 @@ def test_an_attack_that_ctrl_c_stops_goes_on_too(bad, tmp_path, monkeypatch, cap
     assert code == 130
     assert "x.json.part, and the same command goes on from there" in err
     assert len(json.loads((tmp_path / "x.json.part").read_text())["rows"]) == 1
+
+
+@pytest.mark.slow
+def test_of_several_attackers_each_plays_again_and_a_resumed_bench_makes_none_of_them_again(bad, tmp_path, monkeypatch):
+    def unlearnt(opened, where, chosen):
+        """Return the victim itself as an attacker that has learnt, in place of minutes of training."""
+        begin(opened.store, chosen)
+        attacker = replace(opened.snapshot(chosen.victim.name), league=chosen.config.league, player=chosen.player)
+        return replace(attacker, name=f"{chosen.player}@{chosen.config.budget.steps}", iteration=1)
+
+    task, partial = TASKS[SUMO], tmp_path / "rows"
+    (entrant,) = entrants.read(task, [bad["one"]])
+    monkeypatch.setattr(attackers, "train_attacker", unlearnt)
+    monkeypatch.setattr(attackers, "TIMES", (1,))  # each match compiles for seconds
+    with bench_league(task, 8) as opened:
+        entrant.add_to(opened.opened)
+        rows = attackers.attacks(opened, ["e1"], 1, (1, 2), 8, PartialRows(partial, {}))
+        monkeypatch.setattr(attackers, "train_attacker", lambda *_: pytest.fail("it was trained before"))
+        resumed = [attackers.attacks(opened, ["e1"], 1, seeds, 8, PartialRows(partial, {})) for seeds in ((1, 2), (1,))]
+    asked = [(row["attacker_seed"], row["again"]) for row in rows]
+    assert asked == [(1, False), (1, True), (2, False), (2, True)]
+    assert len({row["seed"] for row in rows}) == len(rows)  # no games twice
+    assert resumed == [rows, rows[:1]]
 
 
 def test_tasks_are_listed_and_described(capsys):

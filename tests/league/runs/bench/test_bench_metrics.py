@@ -87,6 +87,20 @@ def test_the_best_attacker_counts_and_a_game_that_the_victim_broke_is_its_loss()
     assert attackers.exploitability(SUMO, []) is None
 
 
+def test_the_best_of_several_attackers_is_scored_by_the_games_that_did_not_choose_it():
+    wins = {(1, False): 20, (1, True): 14, (2, False): 18, (2, True): 30}
+    rows = [
+        row("attacker", "e1", n, 0, 32 - n, policy="e1", times=1, attacker_steps=64, attacker_seed=seed, again=again)
+        for (seed, again), n in wins.items()
+    ]
+    (found,) = attackers.exploitability(SUMO, rows)
+    assert (found["attacker_seed"], found["score"], found["over"]) == (1, 14 / 32, -0.0625)
+    (former,) = attackers.exploitability(SUMO, [row for row in rows if not row["again"]])
+    assert (former["attacker_seed"], former["score"]) == (1, 20 / 32)
+    entry = {"metrics": {"exploitability": [found]}, "attacks": rows}
+    assert "the best of 2 in games of its own" in bench_page._attacked(entry, [{"name": "e1"}])
+
+
 def test_the_first_policy_of_a_training_that_beats_the_middle_counts():
     middle = ReferenceSet((Reference("mid", "learnt", stage="middle"), Reference("idle", "script")), (), "")
     curve = [{"name": f"c{i}", "seconds": 60.0 * i} for i in (3, 2, 1)]
