@@ -5,7 +5,10 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-POLICY = onnxruntime.InferenceSession(Path(__file__).with_name("policy.onnx"))
+FILE = Path(__file__).with_name("policy.onnx")
+if not FILE.exists():
+    raise FileNotFoundError(f"no {FILE.name} beside {Path(__file__).name}: copy your policy there")
+POLICY = onnxruntime.InferenceSession(FILE)
 ORDER = np.arange(12)  # ours[ORDER] are the joints in the policy's order
 SCALE = 1.0  # rad of one unit of its action / rad of one unit of ours, the `scale` of my/go1.toml
 

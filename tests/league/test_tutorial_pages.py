@@ -4,12 +4,10 @@ import re
 import runpy
 import shlex
 import shutil
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 from tests.arenas.robots.bot import mjcf
 from tests.league.conftest import ROOT, call, said
@@ -42,19 +40,6 @@ def robot() -> str:
     """A quadruped of twelve joints, as a Go1 has."""
     roll = r'<joint name="\1_roll" axis="1 0 0" range="-.8 .8" actuatorfrcrange="-20 20"/>\g<0>'
     return re.sub(r'<joint name="(\w\w)_hip"', roll, mjcf())
-
-
-def write_policy(path: Path) -> None:
-    """Write a policy of 48 observations and 12 actions."""
-    torch.manual_seed(0)
-    network = torch.nn.Sequential(torch.nn.Linear(48, 16), torch.nn.ELU(), torch.nn.Linear(16, 12))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        axes = {"obs": {0: "worlds"}, "actions": {0: "worlds"}}
-        torch.onnx.export(
-            network, (torch.zeros(1, 48),), str(path), input_names=["obs"], output_names=["actions"],
-            dynamic_axes=axes, dynamo=False,
-        )  # fmt: skip
 
 
 def shorter(words: list[str]) -> list[str]:
@@ -105,13 +90,14 @@ def test_every_step_of_the_hour_runs_in_its_order(folder, capsys):
             case "mkdir", _:
                 (folder / "my").mkdir()
                 (folder / "my" / "go1.xml").write_text(robot())
-                write_policy(folder / "my" / "policy.onnx")
             case "league", ["robot", *_]:  # the stand-in as a file of one's own
                 assert said(capsys, "robot", "my/go1.xml")[0] in (0, 1), "it may fall"
             case "league", list(words):
                 out += league(words, capsys, folder)
             case "cp", [example, file]:
                 shutil.copy(ROOT / example, folder / file)
+            case "python", ["my/random_policy.py" as file]:
+                runpy.run_path(file, run_name="__main__")
             case "python", [file]:
                 train(file)
             case _, str(text):
