@@ -13,11 +13,11 @@ from league.config.experiment import Config
 from league.config.flags import check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import ENOUGH, PlayerSettings, mains, named_players
+from league.scheduling.episode_lengths import renewal
 from league.state.team_exchange import as_made
 from league.system import devices, memory
 from league.system.arena_build import build, rating_batch, worlds
 from league.training.reward_shaping import chance_score
-from league.training.world_starts import renewal
 from matchmaking.opponents import Opponents
 from storage.errors import StorageError
 from storage.records import Player

@@ -6,8 +6,8 @@ from agents.rollout.new_worlds import make_reset, make_restart
 from agents.rollout.rollout import make_rollout
 from arenas.arena import Arena
 from league.config.experiment import Config
+from league.scheduling.episode_lengths import settles
 from league.system.compiled import Compiled
-from league.training.world_starts import settles
 
 
 class _Setting(NamedTuple):

@@ -18,9 +18,9 @@ from league.runtime import preflight
 from league.runtime.bootstrap import create
 from league.runtime.preflight import prepare
 from league.runtime.validation import early_restarts, roster, scripts, validate
+from league.scheduling.episode_lengths import settles
 from league.system import devices
 from league.system.arena_build import worlds
-from league.training.world_starts import settles
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.store import Store
