@@ -63,7 +63,7 @@ class HappoLearner(LearnerState):
         Raises Diverged if rewards, actions, log densities, losses, gradients or the resulting state are not finite; the
         state is then useless, and `load` restores an earlier one.
         """
-        run = self.graphs.for_shape(batch.rewards.shape)
+        run, steps = self.graphs.for_shape(batch.rewards.shape), self._environment_steps(batch)
         batch, any_valid = self._prepare(batch, run)
         if not any_valid:
             return {}
@@ -92,7 +92,7 @@ class HappoLearner(LearnerState):
         run.wait()
         if self.config.normalise_observations:
             run(self._update_observation_statistics, batch)
-        return self._read_metrics(self._count_steps(batch, lr_factor))
+        return self._read_metrics(self._count_steps(steps, lr_factor))
 
     @_with_precision
     def update_critic_only(self, batch: Batch) -> dict[str, float]:
@@ -133,7 +133,7 @@ class HappoLearner(LearnerState):
         Raises Diverged if the batch holds numbers that no update can learn from; nothing has changed by then.
         """
         self.final_memories, agents = (), range(len(batch.actions))
-        batch = self._with_memories(batch)
+        batch = self._with_memories(batch)._replace(steps=())  # on the host: it is none of a CUDA graph's inputs
         names = ["rewards", *(f"agent {i}'s {what}" for i in agents for what in ("actions", "log densities"))]
         batch, found = run(_cleaned, batch)
         any_valid, *bad = self.comm.any(found).tolist()
@@ -189,11 +189,15 @@ class HappoLearner(LearnerState):
         span = self.config.lr_decay_steps
         return max(0.0, 1.0 - self.steps.item() / span) if span else 1.0
 
-    def _count_steps(self, batch: Batch, lr_factor: float) -> dict[str, float]:
+    def _environment_steps(self, batch: Batch) -> int:
+        """Return the environment steps of the iteration from which a batch is."""
+        return int(batch.steps[0].item()) if batch.steps else batch.rewards.numel() * self.comm.size
+
+    def _count_steps(self, steps: int, lr_factor: float) -> dict[str, float]:
         """Count environment steps if learning rates decay; return the learning rate if it varies."""
         c = self.config
         if c.lr_decay_steps:
-            self.steps += batch.steps[0].item() if batch.steps else batch.rewards.numel() * self.comm.size
+            self.steps += steps
         rates = [actor.lr for actor in self.actor_learners if actor.optimizer and (c.lr_decay_steps or c.desired_kl)]
         return {"lr": torch.stack(rates).mean().item() * lr_factor} if rates else {}
 
