@@ -115,7 +115,8 @@ def parse(text: str, source: str = "league.toml") -> dict[str, Any]:
         what, _, where = str(error if has_place else "too many digits, or brackets within brackets").partition(" (at ")
         found = re.match(r"line (\d+), column (\d+)", where)
         line, column = (found[1], f" (column {found[2]})") if found else (len(text.splitlines()), "")
-        raise ConfigError((), f"not TOML: {what}{column}", f"{source}:{line}: ") from None
+        named = f"; an arena in this file is named by --arena.name {source}:NAME" if source.endswith(".py") else ""
+        raise ConfigError((), f"not TOML: {what}{column}{named}", f"{source}:{line}: ") from None
 
 
 def loads(text: str, cls: type[T], source: str = "league.toml", base: T | None = None) -> T:

@@ -68,7 +68,7 @@ def _validate_rosters(store: Store, config: Config, arena: "Arena", players: lis
             raise ConfigError(
                 ("league",),
                 f"league {config.league!r} cannot go on in {arena.name}: its player {kept.name} fits {kept.roster}, not"
-                f" {player.roster}; choose another league name",
+                f" {player.roster}; give it another league, --league NAME",
             )
 
 

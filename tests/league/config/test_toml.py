@@ -240,6 +240,13 @@ def test_what_is_not_toml_is_told_by_line(text, message):
     assert error(text).startswith(f"league.toml:{message}")
 
 
+def test_where_an_arenas_file_is_given_its_flag_is_told():
+    with pytest.raises(
+        ConfigError, match=r"my/dash\.py:1: not TOML: .*; an arena in this file is named by --arena\.name"
+    ):
+        loads("from dataclasses import dataclass", Experiment, "my/dash.py")
+
+
 def test_flags_are_checked_as_a_file_is():
     check(Experiment())
     with pytest.raises(ConfigError, match=r"^arena.radius = -1: must be above 0 and at most 10$"):
