@@ -1,5 +1,7 @@
 """The summary that `league run` prints at its end: comparisons of players, their certainty, and next commands."""
 
+import shlex
+
 from dashboards.text import clock, wrapped
 from league.commands.ladder_text import ratings_table
 from league.commands.options import place_flags
@@ -11,6 +13,7 @@ from league.scheduling.progress_metrics import can_meet, reference_opponents
 from league.state.league_state import LeagueState
 from league.state.void_rates import warnings as void_warnings
 from matchmaking.ratings.comparison import compare_snapshots
+from storage.database.urls import display_location
 from storage.records import Snapshot
 
 NEXT = """\
@@ -30,11 +33,16 @@ def summary(config: Config, state: LeagueState, store: str) -> str:
     voids = ["\n".join(wrapped(text) for text in void_warnings(state.voids))] if state.voids else []
     place = place_flags(store, config.storage.blobs)
     following = f"Next{place and f', each with {place}'}:\n{NEXT}"
-    return "\n\n".join([table, *_scores_of_newest(config, state), *_who_is_better(state), *trouble, *voids, following])
+    return "\n\n".join(
+        [table, *_scores_of_newest(config, state), *_who_is_better(config, state, store), *trouble, *voids, following]
+    )
 
 
-def _who_is_better(state: LeagueState) -> list[str]:
-    """Return whether the best player's newest snapshot is stronger than the second player's, for each roster."""
+def _who_is_better(config: Config, state: LeagueState, store: str) -> list[str]:
+    """Return whether the best player's newest snapshot is stronger than the second player's, for each roster.
+
+    Also whose strength is not known, and the command by which it will be.
+    """
     newest = [s for s in state.newest_snapshots if not state.one_team]
     known = [s for s in newest if state.ladder.known(s.name)]
     lines = []
@@ -50,7 +58,9 @@ def _who_is_better(state: LeagueState) -> list[str]:
             lines.append(wrapped(evidence_text(compare_snapshots(state.ladder, first.name, second.name))))
     unknown = [s.name for s in newest if s not in known]
     if unknown:
-        lines.append(f"Not known yet: how strong {' and '.join(unknown)} {'is' if len(unknown) == 1 else 'are'}.")
+        told = f"Not known yet: how strong {' and '.join(unknown)} {'is' if len(unknown) == 1 else 'are'}."
+        where = shlex.join(["--store", display_location(store), "--league", config.league])
+        lines.append(f"{wrapped(f'{told} This plays more matches:')}\n  league rate {where} --budget 2m")
     return lines
 
 

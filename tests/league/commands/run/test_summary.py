@@ -242,7 +242,9 @@ def test_every_score_is_of_a_snapshot_that_is_named_and_what_is_newer_is_said_to
     line = ticker(rating_time="3m").line(league_state(), "rating", [])
     assert line.startswith("rating · blue@64 and red@64: score vs initial not known yet · 0 rated episodes")
     text = summary(QUICKSTART, league_state(*log), STORE)
-    assert "Not known yet: how strong blue@64 and red@64 are." in plain(text)
+    told = "Not known yet: how strong blue@64 and red@64 are. This plays more matches:"
+    assert told in plain(text)
+    assert f"\n  league rate --store {STORE} --league {QUICKSTART.league} --budget 2m\n" in text
     assert "stronger than" not in text
 
 
