@@ -33,20 +33,11 @@ def to_torch(array: Array) -> Tensor:
 
 
 def team_batch(
-    trajectory: Trajectory,
-    team: TeamSpec,
-    index: int,
-    worlds: slice | np.ndarray,
-    shaping: float,
-    void_penalty: float = 1.0,
-    others: Sequence[TeamSpec] = (),
-    privileged: bool = False,
-    common: Sequence[TeamSpec] = (),
-    critic_memories: CriticMemories = (),
-    every: int = 1,
-    gamma: float = 1.0,
+    trajectory: Trajectory, team: TeamSpec, index: int, worlds: slice | np.ndarray, shaping: float,
+    void_penalty: float = 1.0, others: Sequence[TeamSpec] = (), privileged: bool = False,
+    common: Sequence[TeamSpec] = (), critic_memories: CriticMemories = (), every: int = 1, gamma: float = 1.0,
     steps: int | None = None,
-) -> Batch:
+) -> Batch:  # fmt: skip
     """Return a team's part of a trajectory.
 
     The reward is the outcome plus `shaping` times the dense reward. A world that the team's own robots made void counts

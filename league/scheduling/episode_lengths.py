@@ -34,16 +34,16 @@ def renewal(config: Config) -> str:
     """Return in words why worlds begin anew with nearly every turn; "" if they live on.
 
     A worker keeps the worlds of a group of players until another worker does a turn of it. With more groups than
-    workers the groups move from worker to worker. Workers of other hosts are not known here.
+    workers the groups move from worker to worker. How many workers other hosts have is not known here; where all are
+    there, they count as too few.
     """
     if config.deterministic:
         return "in a deterministic league worlds begin anew every turn"
     groups, workers = len({player.group for player in named_players(config.players)}), config.workers.train
-    if 1 < workers < groups:
-        return (
-            f"{groups} groups of players move between {workers} train workers and worlds begin anew nearly every turn"
-        )
-    return ""
+    if groups < 2 or workers == 1 or workers >= groups:
+        return ""
+    between = f"{workers} train workers" if workers else "the workers of other hosts"
+    return f"{groups} groups of players move between {between} and worlds begin anew nearly every turn"
 
 
 def settles(config: Config, longest: int) -> bool:

@@ -85,6 +85,10 @@ def test_groups_that_move_between_workers_are_told_where_their_worlds_begin_anew
     assert "3 groups of players move between 2 train workers" in line
     assert "after 512 decisions" in line
     assert not settles(config, 1500)
+    elsewhere = replace(config, workers=replace(config.workers, train=0))
+    assert "between the workers of other hosts" in early_restarts(elsewhere, lasting(1500), 64)[0]
+    one_group = replace(elsewhere, players=players[:1])
+    assert settles(one_group, 1500)
     for other in (config.workers.train + 1, 1):
         alone = replace(config, workers=replace(config.workers, train=other))
         assert not early_restarts(alone, lasting(1500), 64)
