@@ -13,7 +13,6 @@ from league.config.experiment import Config
 from league.config.flags import check_classes
 from league.config.schema import ConfigError, Key, dotted, literal, refuse
 from league.config.sections import ENOUGH, PlayerSettings, mains, named_players
-from league.scheduling.episode_lengths import renewal
 from league.state.team_exchange import as_made
 from league.system import devices, memory
 from league.system.arena_build import build, rating_batch, worlds
@@ -73,14 +72,15 @@ def validate(config: Config, players: Sequence[Player] = ()) -> "Arena":
 def early_restarts(config: Config, arena: "Arena", worlds: int) -> list[str]:
     """Return a line if worlds begin anew before half of them can play the arena's longest game to its end.
 
-    All worlds of a deterministic league begin anew every turn, those of groups that move between workers nearly so, in
-    ladder all of them every phase, and in leapfrog those against the learner's history every phase. The first episode
-    of each is cut at random, up to the longest, so all of them can after two longest.
+    All worlds of a deterministic league begin anew every turn, in ladder every phase, and in leapfrog those against the
+    learner's history every phase. The first episode of each is cut at random, up to the longest, so all of them can
+    after two longest.
     """
     training, schedule, decisions = config.training, config.training.schedule, arena.timing.decisions
     rollout, enough = training.rollout_length, -(-2 * decisions // training.rollout_length)
     past = any(rule.share for _, rule in rules(config, [team.name for team in arena.teams]))
-    if what := renewal(config):
+    if config.deterministic:
+        what = "in a deterministic league worlds begin anew every turn"
         span, mend = training.iterations_per_turn * rollout, f"iterations_per_turn = {enough}"
     elif schedule.kind == "ladder" or (schedule.kind == "leapfrog" and past):
         which = "" if schedule.kind == "ladder" else " against past opponents"

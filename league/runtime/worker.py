@@ -16,8 +16,8 @@ from league.config.experiment import Config
 from league.runtime.heartbeat import BEAT, Heartbeat, none_on_error
 from league.runtime.rating_jobs import RatingJobs
 from league.runtime.worker_health import WorkerHealth
-from league.scheduling.episode_lengths import averaged_iterations
-from league.scheduling.turn_scheduler import next_turns
+from league.scheduling.episode_lengths import averaged_iterations, longest_episode
+from league.scheduling.turn_scheduler import continued_turn, next_turns
 from league.state.jobs import RatingMatch, Task, TrainingTurn, decode
 from league.state.league_state import LeagueState
 from league.system.memory import TooLarge, is_short
@@ -67,6 +67,8 @@ class Worker:
         self._rating = RatingJobs(self)
         self._loaded: dict[str, Any] = {}  # the trainer, as soon as it is needed
         self._league_state: LeagueState | None = None  # at the last look
+        self._kept: dict[str, dict[str, str]] = {}  # group whose worlds are here -> its players' checkpoints
+        self._preferred: str | None = None  # the turn to claim before older ones
         self._handlers: Mapping[type[Task], Callable[[Lease, Any], None]] = {
             TrainingTurn: self._train,
             RatingMatch: self._rating.play,
@@ -77,10 +79,9 @@ class Worker:
         heartbeat = Heartbeat(self)
         heartbeat.start()
         idle_since = time.monotonic()
-        league, seconds = self.config.league, self.config.workers.lease
         try:
             while not self.stopping.is_set():
-                claimed = self.retry_while_away(lambda: self.store.claim(league, self.spec.kinds, self.id, seconds))
+                claimed = self.retry_while_away(self.claim)
                 if claimed is not None:
                     self._run_job(*claimed)
                     idle_since = time.monotonic()
@@ -93,6 +94,11 @@ class Worker:
             heartbeat.end()
             self._drop_trainer()
             none_on_error(self.store.remove_worker, self.id)
+
+    def claim(self) -> tuple[Lease, Job] | None:
+        """Claim the next job; None when there is nothing to do now."""
+        config = self.config
+        return self.store.claim(config.league, self.spec.kinds, self.id, config.workers.lease, prefer=self._preferred)
 
     def _run_job(self, lease: Lease, job: Job) -> None:
         """Do one job, to its end or to a clear failure. After a lost lease, another worker writes the result."""
@@ -179,18 +185,27 @@ class Worker:
                 raise trainer.too_large() from error
             raise
         if not self.stopping.is_set():
-            self._queue_next_turns()
+            self._queue_next_turns(turn.group)
 
-    def _queue_next_turns(self) -> None:
-        """Queue the turns that follow, as the manager does, which looks at the store only now and then.
+    def _queue_next_turns(self, group: str) -> None:
+        """Queue the turns that follow that of a group, and choose which of those that wait to prefer.
 
-        The plan is the same for both, and a job that both queue is queued once.
+        The manager queues them as well, but looks at the store only now and then. The plan is the same for both, and a
+        job that both queue is queued once.
         """
         league, window = self.config.league, averaged_iterations(self.config)
-        self._league_state = LeagueState.of(self.store, league, self._league_state, recent=window)
-        following = next_turns(self.config, self._league_state)
+        self._league_state = state = LeagueState.of(self.store, league, self._league_state, recent=window)
+        following = next_turns(self.config, state)
+        if "trainer" in self._loaded:  # else its worlds are gone
+            self._kept[group] = {p.name: state.checkpoints[p.name].digest for p in state.groups[group]}
+        self._preferred = continued_turn(self.config, state, following.jobs, self._kept, self._longest_episode())
         if following.jobs:
             self.store.queue(following.jobs, following.phases)
+
+    def _longest_episode(self) -> int:
+        """Return the decisions of the arena's longest episode; settings of an arena of your own need not tell them."""
+        programs = self._loaded.get("programs")  # none where ranks have the arena
+        return longest_episode(self.config) if programs is None else programs.arena.timing.decisions
 
     def _trainer(self, turn: TrainingTurn) -> "Trainer | DataParallelTrainer | RanksTrainer":
         if "trainer" not in self._loaded:
@@ -220,6 +235,7 @@ class Worker:
     def _drop_trainer(self) -> None:
         """Have the next turn make a new trainer; end the processes of this one."""
         trainer = self._loaded.pop("trainer", None)
+        self._kept.clear()
         if trainer is not None and self.config.training.devices > 1:
             trainer.close()
 

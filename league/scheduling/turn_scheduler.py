@@ -5,7 +5,7 @@ queues each key once, so computing a plan twice does no harm. A job that was set
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +16,14 @@ from league.scheduling.episode_lengths import longest_episode
 from league.scheduling.opponent_sampling import opponent_distribution, table_pairs
 from league.scheduling.population import copy_now
 from league.scheduling.training_progress import GroupProgress, Learner, TrainingProgress
-from league.state.jobs import TrainingTurn, encode, pairs_failed_alone
+from league.state.jobs import TrainingTurn, decode, encode, pairs_failed_alone
 from league.state.league_state import LeagueState
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import next_due
 from storage.records import Job, Phase, Player
+
+AHEAD, BEHIND = 2, 4
+"""A group keeps its worker until it is so many of the longest episodes ahead of another that waits, or behind it."""
 
 Assignments = tuple[tuple[str, ...], ...]  # for each group of worlds the snapshot or player of every team
 Chances = dict[str, tuple[float, int]]  # snapshot -> the chance with which it was drawn, and out of how many
@@ -62,6 +65,36 @@ def next_turns(config: Config, state: LeagueState, progress: TrainingProgress | 
         jobs.append(encode(config.league, turn, about, priority=1))
         phases += [group.phase] if group.phase is not None else []
     return Plan(tuple(jobs), tuple(phases), tuple(awaited))
+
+
+def continued_turn(
+    config: Config, state: LeagueState, planned: Sequence[Job], kept: Mapping[str, Mapping[str, str]], longest: int
+) -> str | None:
+    """Return the key of the turn that a worker takes before older ones, because it has its worlds; None: the oldest.
+
+    It is that of the least trained of its groups, unless another group that waits is too far behind, or so far before
+    that this worker is too slow for its own: no group waits or lags for ever. A worker that is alone keeps all worlds.
+
+    Args:
+        config: the league's settings.
+        state: the league at the end of the worker's last turn.
+        planned: jobs that are not in `state` yet.
+        kept: of each group whose worlds the worker has: the digests of the players' checkpoints at that moment.
+        longest: decisions of the arena's longest episode.
+    """
+    jobs = [job for job in (*state.jobs, *planned) if job.kind == TrainingTurn.kind]
+    if config.deterministic or not any(job.state == "leased" for job in jobs):
+        return None
+    own, at = dict[str, str](), dict[str, int]()
+    for job in jobs:
+        if job.state == "queued" and isinstance(turn := decode(job), TrainingTurn):
+            at[turn.group] = state.iterations(turn.group, config.training.schedule)
+            if turn.bases == kept.get(turn.group):
+                own[turn.group] = job.key
+    unit = max(longest / config.training.rollout_length, config.training.iterations_per_turn)  # turns may be longer
+    others = [at[group] for group in at.keys() - own]
+    fair = [group for group in own if all(-BEHIND * unit < at[group] - other < AHEAD * unit for other in others)]
+    return own[min(fair, key=at.__getitem__)] if fair else None
 
 
 def _awaited(config: Config, state: LeagueState, group: GroupProgress) -> list[tuple[str, str]]:

@@ -190,9 +190,15 @@ class LeagueState:
         A player's own count grows only while it learns. If players take turns, the group's count is their sum, else the
         largest count.
         """
-        own = [self.checkpoints[p.name] for p in self.groups[group] if p.name in self.checkpoints]
-        total = sum if schedule.sums_counts else max
+        own, total = self._newest(group), sum if schedule.sums_counts else max
         return total([c.seconds for c in own] or [0.0]), total([c.step for c in own] or [0])
+
+    def iterations(self, group: str, schedule: Schedule) -> int:
+        """Return the learning iterations of a group, which count as `spent` does."""
+        return (sum if schedule.sums_counts else max)([c.iteration for c in self._newest(group)] or [0])
+
+    def _newest(self, group: str) -> list[Checkpoint]:
+        return [self.checkpoints[p.name] for p in self.groups[group] if p.name in self.checkpoints]
 
     def trained(self, schedule: Schedule) -> float:
         """Return device seconds of training: the sum over groups, since each group trains on a device of its own."""

@@ -42,12 +42,18 @@ def fail_expired(db: sa.Connection, league: str, kinds: tuple[str, ...], max_att
 
 
 def claim(
-    db: sa.Connection, league: str, kinds: tuple[str, ...], holder: str, seconds: float, max_attempts: int
+    db: sa.Connection,
+    league: str,
+    kinds: tuple[str, ...],
+    holder: str,
+    seconds: float,
+    max_attempts: int,
+    prefer: str | None,
 ) -> tuple[Lease, Job] | None:
     """Claim a job, see Store.claim. One statement, which on a server is also `relaxed_durability`."""
-    row = db.execute(
-        _claim_statement(league, kinds, max_attempts), {"who": holder, "for_seconds": seconds}
-    ).one_or_none()
+    statement = _claim_statement(league, kinds, max_attempts, preferring=prefer is not None)
+    preferred = {} if prefer is None else {"preferred": prefer}
+    row = db.execute(statement, {"who": holder, "for_seconds": seconds, **preferred}).one_or_none()
     if row is None:
         return None
     job = record_from(Job, row[:-1])
@@ -72,20 +78,30 @@ def _work_query(league: str, kinds: tuple[str, ...], max_attempts: int) -> Any:
 
 
 @lru_cache
-def _claim_statement(league: str, kinds: tuple[str, ...], max_attempts: int) -> Any:
+def _claim_statement(league: str, kinds: tuple[str, ...], max_attempts: int, preferring: bool) -> Any:
     """Return the statement that claims the next job.
 
     For each kind, the first queued job and the first job with an expired lease are looked up. An index holds each of
-    these in queue order, but not all of them in one order.
+    these in queue order, but not all of them in one order. With `preferring` the job with that key is looked up as
+    well, and goes before the queued ones. Jobs with an expired lease do not wait for it unless they are younger: else
+    they could wait for ever.
     """
     c = t.jobs.c
+    queued, expired = zip(*(_claim_conditions(league, kind, max_attempts)[0] for kind in kinds), strict=True)
+    found = [(each, preferring) for each in queued] + [(each, False) for each in expired]  # and whether it goes later
+    if preferring:
+        found += [(each & (c.key == sa.bindparam("preferred")), False) for each in queued]
     firsts = [
-        _skip_locked(sa.select(c.id, c.priority).where(each).order_by(c.priority.desc(), c.id).limit(1)).subquery()
-        for kind in kinds
-        for each in _claim_conditions(league, kind, max_attempts)[0]
+        _skip_locked(
+            sa.select(c.id, c.priority, sa.literal_column(str(int(later))).label("later"))
+            .where(each)
+            .order_by(c.priority.desc(), c.id)
+            .limit(1)
+        ).subquery()
+        for each, later in found
     ]
     ahead = sa.union_all(*(sa.select(first) for first in firsts)).subquery()
-    first = sa.select(ahead.c.id).order_by(ahead.c.priority.desc(), ahead.c.id).limit(1)
+    first = sa.select(ahead.c.id).order_by(ahead.c.priority.desc(), ahead.c.later, ahead.c.id).limit(1)
     take = {
         "state": "leased",
         "holder": sa.bindparam("who"),

@@ -72,25 +72,27 @@ class JobQueue(StoreBase):
         holder: str,
         seconds: float,
         max_attempts: int = 10,
+        prefer: str | None = None,
     ) -> tuple[Lease, Job] | None:
         """Lease the job of highest priority, oldest first, for `seconds`; None when there is nothing to do now.
 
         A job that failed is passed over until its `not_before`. A job whose lease has expired can be claimed again.
-        After `max_attempts` such expiries it becomes failed instead.
+        After `max_attempts` such expiries it becomes failed instead. Of equal priority the job with the key `prefer`
+        goes before all others that are queued; one whose lease has expired still goes by its age.
         """
         if not (asked := tuple(kinds)):
             return None
         with self._db.reading() as db:  # cheaper than claiming, and on SQLite it blocks no writer
             some, hopeless = leases.find_work(db, league, asked, max_attempts)
             if some and not hopeless and self._db.is_server:
-                return leases.claim(db, league, asked, holder, seconds, max_attempts)
+                return leases.claim(db, league, asked, holder, seconds, max_attempts, prefer)
         if hopeless:
             with self._db.changing([league]) as db:
                 leases.fail_expired(db, league, asked, max_attempts)
         if not some:
             return None
         with self._db.writing(durable=False) as db:
-            return leases.claim(db, league, asked, holder, seconds, max_attempts)
+            return leases.claim(db, league, asked, holder, seconds, max_attempts, prefer)
 
     def renew(self, lease: Lease, seconds: float) -> bool:
         """Extend the lease to `seconds` from now; False when the lease was lost."""

@@ -78,21 +78,16 @@ def test_worlds_that_begin_anew_before_games_can_end_are_told():
     assert not early_restarts(replace(config, deterministic=False), lasting(1500), 64)
 
 
-def test_groups_that_move_between_workers_are_told_where_their_worlds_begin_anew_too_soon():
+@pytest.mark.parametrize("workers", [0, 1, 2, 3])
+def test_groups_keep_their_worlds_for_long_games_also_where_they_are_more_than_workers(workers):
     players = tuple(PlayerSettings(team, group=group) for team in ("blue", "red") for group in "123")
-    config = duel(players=players, workers=replace(duel().workers, train=2))
-    (line,) = early_restarts(config, lasting(1500), 64)
-    assert "3 groups of players move between 2 train workers" in line
-    assert "after 512 decisions" in line
-    assert not settles(config, 1500)
-    elsewhere = replace(config, workers=replace(config.workers, train=0))
-    assert "between the workers of other hosts" in early_restarts(elsewhere, lasting(1500), 64)[0]
-    one_group = replace(elsewhere, players=players[:1])
-    assert settles(one_group, 1500)
-    for other in (config.workers.train + 1, 1):
-        alone = replace(config, workers=replace(config.workers, train=other))
-        assert not early_restarts(alone, lasting(1500), 64)
-        assert settles(alone, 1500)
+    config = duel(players=players, workers=replace(duel().workers, train=workers))
+    assert not early_restarts(config, lasting(1500), 64)
+    assert settles(config, 1500)
+    alike = replace(config, deterministic=True, budget=configuration.Budget(steps=10**6))
+    assert early_restarts(alike, lasting(1500), 64)
+    assert not settles(alike, 1500)
+    assert settles(alike, 64)
 
 
 def test_what_is_prepared_tells_of_early_restarts(tmp_path, monkeypatch):

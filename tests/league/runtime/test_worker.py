@@ -15,6 +15,7 @@ from league.state.jobs import RatingMatch, encode
 from league.state.league_state import LeagueState
 from storage.records import League, Player
 from storage.store import Store
+from tests.arenas.echo import EchoRules, EchoSettings
 
 LEAGUE = "small"
 DEFAULT = configuration.default("rock-paper-scissors")
@@ -112,3 +113,42 @@ def test_a_worker_that_plays_says_nothing_of_the_turn_that_it_trained_before(sto
     both._run_job(*claim(store))
     assert both.status["learners"] == ["blue", "red"]
     plays("right after a turn")
+
+
+# More groups than workers ---------------------------------------------------------------------------------------------
+
+PUPILS = replace(
+    DEFAULT, league=LEAGUE, arena=EchoSettings(rules=EchoRules(delay=15)), budget=configuration.Budget(steps=10**6),
+    training=replace(DEFAULT.training, worlds=16, rollout_length=4, iterations_per_turn=1),
+    learner=replace(DEFAULT.learner, epochs=1, minibatches=1),
+)  # fmt: skip
+
+
+@pytest.fixture
+def pupils(tmp_path):
+    """A store with three players that learn alone, in an arena whose settings do not tell its longest episode."""
+    (team,) = PUPILS.arena.build(engine="auto", worlds=16, threads=1).teams
+    with Store.open(tmp_path / "pupils", create=True) as store:
+        store.create_league(League(LEAGUE, ""))
+        store.add_players([Player(LEAGUE, f"{team.name}-{g}", 0, "main", team.roster, group=g) for g in "123"])
+        yield store
+
+
+def test_workers_keep_most_worlds_of_more_groups_and_no_group_falls_behind(pupils):
+    workers = [worker(pupils, PUPILS), worker(pupils, PUPILS)]
+    workers[1].id += "b"
+    planned = turn_scheduler.next_turns(PUPILS, LeagueState.of(pupils, LEAGUE))
+    pupils.queue(planned.jobs, planned.phases)
+    for _ in pupils.players(LEAGUE):  # the first turns make the players
+        workers[0]._run_job(*workers[0].claim())
+    held, spreads = [each.claim() for each in workers], []
+    for number in range(80):  # each has a turn while the other one chooses
+        at = number % 2
+        workers[at]._run_job(*held[at])
+        held[at] = workers[at].claim()
+        iterations = [c.iteration for c in pupils.newest_checkpoints(LEAGUE).values()]
+        spreads.append(max(iterations) - min(iterations))
+    begun = [p.values["begun_anew"] for player in pupils.players(LEAGUE) for p in pupils.curves(LEAGUE, player.name)]
+    assert len(begun) > 70
+    assert 0 < sum(begun) < len(begun) / 5  # some: a group that waits too long is taken over
+    assert max(spreads) <= 3 * 4  # longest episodes of 4 iterations

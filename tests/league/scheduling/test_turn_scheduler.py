@@ -10,6 +10,7 @@ from league.config import experiment as configuration
 from league.scheduling import turn_scheduler
 from league.scheduling.training_progress import trained_enough
 from league.state.jobs import RatingMatch, decode
+from league.state.league_state import LeagueState
 from matchmaking.opponents import Opponents
 from matchmaking.schedule import Schedule
 from storage.records import Phase
@@ -220,3 +221,78 @@ def test_phases_and_jobs_survive_the_stores_json():
 
     job = encode("quickstart", task, "x")
     assert decode(replace(job, payload=json.loads(json.dumps(job.payload)))) == task
+
+
+# The turn that a worker goes on with --------------------------------------------------------------------------------
+
+THREE = tuple(replace(p, name=f"{p.name}-{group}", group=group) for p in PLAYERS for group in "123")
+DECISIONS = 320  # of the longest episode: 10 iterations of 32
+
+
+def waiting(at: dict[str, int], **changes) -> tuple[configuration.Config, LeagueState, dict[str, str]]:
+    """Settings, a league whose groups are at these iterations and all wait for a turn, and the keys of the turns.
+
+    A turn of a fourth group is under way.
+    """
+    config = training(iterations_per_turn=4, **changes)
+    newest = checkpoints({p.name: at[p.group] for p in THREE}, players=THREE)
+    state = league_state(players=THREE, checkpoints=newest)
+    jobs = turn_scheduler.next_turns(config, state).jobs
+    elsewhere = replace(jobs[0], key="elsewhere", payload={**jobs[0].payload, "group": "4"}, state="leased")
+    return config, replace(state, jobs=(elsewhere, *jobs)), {decode(job).group: job.key for job in jobs}
+
+
+def continued(at: dict[str, int], own: str, **changes) -> str | None:
+    """The group with which a worker goes on that has done the last turn of the groups `own`."""
+    config, state, keys = waiting(at, **changes)
+    kept = {g: {p.name: state.checkpoints[p.name].digest for p in THREE if p.group == g} for g in own}
+    chosen = turn_scheduler.continued_turn(config, state, (), kept, DECISIONS)
+    queued = state.jobs[1:]
+    assert chosen == turn_scheduler.continued_turn(config, replace(state, jobs=state.jobs[:1]), queued, kept, DECISIONS)
+    return next((group for group, key in keys.items() if key == chosen), None)
+
+
+@pytest.mark.parametrize(
+    ("at", "own", "group"),
+    [
+        ((100, 100, 100), "2", "2"),
+        ((100, 100, 99), "13", "3"),  # the least trained of its own
+        ((100, 119, 110), "2", "2"),
+        ((100, 120, 110), "2", None),  # two longest episodes ahead of one that waits
+        ((100, 120, 110), "12", "1"),
+        ((100, 120, 100), "12", "1"),  # the other one is no reason to leave this one
+        ((100, 81, 120), "2", "2"),
+        ((100, 60, 90), "2", None),  # four behind: a faster worker may take it
+        ((100, 100, 100), "", None),
+    ],
+)
+def test_a_worker_goes_on_with_the_least_trained_of_its_groups_while_no_other_lags(at, own, group):
+    assert continued(dict(zip("123", at, strict=True)), own) == group
+
+
+def test_groups_whose_players_learn_in_turn_are_as_far_as_their_players_together():
+    at = {"1": 100, "2": 109, "3": 100}
+    assert continued(at, "2") == "2"
+    leapfrog = Schedule("leapfrog", period=1000)
+    assert continued(at, "2", schedule=leapfrog) == "2"
+    assert continued({**at, "2": 110}, "2") == "2"
+    assert continued({**at, "2": 110}, "2", schedule=leapfrog) is None
+
+
+def test_longer_turns_than_episodes_are_the_measure():
+    config, state, keys = waiting({"1": 100, "2": 107, "3": 100})
+    kept = {"2": {p.name: state.checkpoints[p.name].digest for p in THREE if p.group == "2"}}
+    assert turn_scheduler.continued_turn(config, state, (), kept, longest=1) == keys["2"]
+    assert turn_scheduler.continued_turn(training(iterations_per_turn=3), state, (), kept, longest=1) is None
+
+
+def test_a_worker_prefers_no_turn_whose_players_another_one_has_trained_since_and_none_where_none_can_be_lost():
+    config, state, keys = waiting({"1": 100, "2": 100, "3": 100})
+    kept = {"2": {p.name: state.checkpoints[p.name].digest for p in THREE if p.group == "2"}}
+    assert turn_scheduler.continued_turn(config, state, (), kept, DECISIONS) == keys["2"]
+    before = {"2": {**kept["2"], "red-2": "an earlier one"}}
+    assert turn_scheduler.continued_turn(config, state, (), before, DECISIONS) is None
+    alone = replace(state, jobs=state.jobs[1:])
+    assert turn_scheduler.continued_turn(config, alone, (), kept, DECISIONS) is None
+    fixed = replace(config, deterministic=True, budget=configuration.Budget(steps=10**9))
+    assert turn_scheduler.continued_turn(fixed, state, (), kept, DECISIONS) is None

@@ -64,6 +64,34 @@ def test_a_claim_for_several_kinds_goes_by_priority_then_age_over_all_of_them(st
     assert found == ["first match", "first turn", "match", "turn", "late match", "least"]
 
 
+@pytest.mark.parametrize(
+    ("preferred", "order"),
+    [
+        ("new", ["urgent", "new", "old", "young", "least"]),
+        ("least", ["urgent", "old", "new", "young", "least"]),  # of its priority alone
+        ("waiting", ["urgent", "old", "new", "young", "least"]),
+        ("other", ["urgent", "old", "new", "young", "least"]),
+        ("unknown", ["urgent", "old", "new", "young", "least"]),
+    ],
+)
+def test_a_preferred_job_goes_before_older_ones_of_its_priority_if_it_can_be_claimed(store, preferred, order):
+    store.queue([job("waiting")])
+    assert store.fail(take(store)[0], "broke", wait=3600)
+    store.queue([job("old"), job("new"), job("urgent", priority=5), job("least", priority=-1)])
+    store.queue([job("other", kind="train"), job("young")])
+    found = [take(store, prefer=preferred)[1].key for _ in order]
+    assert found == order
+    assert [each.key for each in store.jobs("cup", "queued")] == ["waiting", "other"]
+
+
+def test_a_job_that_its_worker_left_does_not_wait_for_those_that_others_prefer(store: Store):
+    store.queue([job("mine before"), job("left"), job("old")])
+    assert take(store, prefer="left", seconds=-1)[1].key == "left"
+    store.queue([job("mine")])
+    assert take(store, prefer="mine before")[1].key == "mine before"
+    assert [take(store, prefer="mine")[1].key for _ in range(3)] == ["left", "mine", "old"]
+
+
 def test_a_lease_is_ours_until_somebody_else_claims_the_job(store: Store):
     store.queue([job("a")])
     lease, claimed = take(store, "slow", seconds=-1)  # expired at once
