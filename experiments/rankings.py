@@ -1,4 +1,4 @@
-"""Coverage of the intervals of ratings that are fitted to rankings of four teams.
+"""Coverage of the intervals of ratings that are fitted to rankings of four teams, and of those of scores.
 
     python -m experiments.rankings [--leagues N] [--out FILE]
 
@@ -6,24 +6,26 @@ Simulated leagues of eight snapshots with normal strengths. Lineups of four of t
 episodes each, whose rankings have the chances of Plackett and Luce's model with ties of two and three teams, or
 without. All are fitted as in a league without parents. Prints JSON: how often the 95 % interval of a snapshot's Elo
 above the mean holds the true one, and that of the gap between two snapshots; the mean error in Elo, and mean tie terms.
+The same of scores: of one snapshot against another, against all others, and of the mean over these.
 
 Then the four rotations of a lineup share seeds, as they do in a league. Each ranking alone still has the chances of the
 model. With "luck of snapshots" the second to fourth ranking repeats the first with a probability of one half each. With
 "luck of seats" the random parts of the four utilities are drawn, by a Gaussian copula, with a correlation of 0.7 for
 the same seat in all rotations. The intervals are those with the clusters and, for comparison, with all taken as
-independent.
+independent; scores then count each two teams of a ranking as a game of their own.
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr
 
 from matchmaking.ratings.fit import ELO, Ratings, fit
-from matchmaking.ratings.payoff import sum_matches
+from matchmaking.ratings.payoff import Payoff, sum_matches
 from matchmaking.ratings.plackett_luce import ranking_chances
+from matchmaking.ratings.scores import Score, mean_interval, score_interval
 from scripts.record import make_parser, report, run_info
 from storage.records import ArenaKey, RankedMatch, competition_ranks
 
@@ -93,15 +95,54 @@ def covered(ratings: Ratings, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return (ratings.low < truth) & (truth < ratings.high), inside[pairs], error
 
 
+def expected_scores(theta: np.ndarray, ties: dict[int, float], log: list[RankedMatch]) -> np.ndarray:
+    """Return the expected score (8, 8) of each snapshot against each other in these lineups, nan without games."""
+    points, games = np.zeros((2, len(theta), len(theta)))
+    for match in log:
+        who = np.array([int(name[1:]) for name in match.snapshots])
+        chances = ranking_chances(theta[who].tolist(), ties)
+        ranks, chance = np.array(list(chances)), np.array(list(chances.values()))
+        ahead = (np.sign(ranks[:, None] - ranks[:, :, None]) + 1) / 2
+        points[np.ix_(who, who)] += match.episodes * np.tensordot(chance, ahead, 1)
+        games[np.ix_(who, who)] += match.episodes
+    with np.errstate(invalid="ignore"):
+        return points / np.where(np.eye(len(theta)), np.nan, games)
+
+
+def covered_scores(payoff: Payoff, truth: np.ndarray) -> dict[str, list[tuple[bool, bool]]]:
+    """Return for scores of each kind if their intervals hold the truth, and if those that ignore seeds do."""
+    found: dict[str, list[tuple[bool, bool]]] = {"score": [], "score_of_all": [], "mean_score": []}
+    for i, name in enumerate(payoff.names):
+        met = [j for j, other in enumerate(payoff.names) if j != i and payoff.games[i, j]]
+        others = [payoff.names[j] for j in met]
+        wins, draws, losses = payoff.between(np.array(i), np.array(met))[:, :3].T
+        low, high = score_interval(wins, draws, losses)
+        for k, other in enumerate(others):
+            found["score"].append(_both(payoff.score(name, other), (low[k], high[k]), truth[i, met[k]]))
+        games = wins + draws + losses
+        pooled = (games * truth[i, met]).sum() / games.sum()
+        low, high = map(float, score_interval(wins.sum(), draws.sum(), losses.sum()))
+        found["score_of_all"].append(_both(payoff.score(name, *others), (low, high), pooled))
+        _, *ignoring = mean_interval(wins, draws, losses, np.zeros((len(met), 5)))
+        found["mean_score"].append(_both(payoff.mean_score(name, *others), ignoring, truth[i, met].mean()))
+    return found
+
+
+def _both(score: Score, ignoring: Sequence[float], true: float) -> tuple[bool, bool]:
+    return score.low <= true <= score.high, bool(ignoring[0] <= true <= ignoring[1])
+
+
 def figures(
     play: Play, ties: dict[int, float], lineups: int, n: int, leagues: int, rng: np.random.Generator
 ) -> dict[str, object]:
     """Return the figures of leagues of one kind, and those of intervals that ignore seeds."""
     own, gaps, errors, terms, alone, gaps_alone, widths = [], [], [], [], [], [], []
+    scores: dict[str, list[tuple[bool, bool]]] = {}
     for _ in range(leagues):
         theta = rng.normal(0, 1, SNAPSHOTS)
         log = league(theta, play, lineups, n, rng)
-        ratings, ignoring = (fit(sum_matches(each)) for each in (log, [replace(m, seed_clusters={}) for m in log]))
+        payoff = sum_matches(log)
+        ratings, ignoring = fit(payoff), fit(sum_matches([replace(m, seed_clusters={}) for m in log]))
         if len(ratings.names) < SNAPSHOTS:
             continue  # a snapshot was never drawn
         for found, (ratings_held, gaps_held) in (
@@ -110,6 +151,8 @@ def figures(
             held, held_gaps, error = covered(found, theta)
             ratings_held.append(held)
             gaps_held.append(held_gaps)
+        for kind, held in covered_scores(payoff, expected_scores(theta, ties, log)).items():
+            scores.setdefault(kind, []).extend(held)
         errors.append(error)
         terms.append([ratings.ties.get(k, 0.0) for k in ties])
         widths.append(np.mean(ratings.stderr / ignoring.stderr))
@@ -119,6 +162,8 @@ def figures(
         "gap_covered_ignoring_seeds": round(float(np.mean(gaps_alone)), 4),
         "width_to_that_ignoring_seeds": round(float(np.mean(widths)), 3), "error_elo": round(float(np.mean(errors)), 1),
         "ties": {k: round(float(mean), 3) for k, mean in zip(ties, np.mean(terms, 0), strict=True)},
+        **{f"{kind}_covered": round(float(np.mean(held, 0)[0]), 4) for kind, held in scores.items()},
+        **{f"{kind}_covered_ignoring_seeds": round(float(np.mean(held, 0)[1]), 4) for kind, held in scores.items()},
     }  # fmt: skip
 
 

@@ -20,8 +20,6 @@ from itertools import combinations, permutations, product
 from pathlib import Path
 from typing import get_args
 
-import numpy as np
-
 import arenas
 from arenas.arena import Arena, Settings
 from arenas.arena_settings import EngineName
@@ -36,7 +34,8 @@ from league.queries import arena_info
 from league.snapshots.codec import add_scripts
 from league.state.jobs import RatingMatch
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.scores import Score, quantile
+from matchmaking.ratings.payoff import sum_matches
+from matchmaking.ratings.scores import Score
 from scripts import arena_pages
 from storage.records import ArenaKey, League, Match, RankedMatch
 from storage.store import Store
@@ -130,32 +129,13 @@ def play(
 def alone(name: str, matches: Sequence[RankedMatch]) -> Score:
     """Return a snapshot's score in the rotations of a lineup in which it plays one team, and its 95 % interval.
 
-    Its score in a game is that against each other team, on average: 1 if it is ahead of all, ½ if all are equal. The
-    interval is Wilson's, with the number of seeds divided by the variance of a seed's mean score, as
-    `matchmaking.ratings.scores.score_interval` has it for seed pairs.
+    Its score in a game is that against each other team, on average: 1 if it is ahead of all, ½ if all are equal.
+    `games` are episodes.
     """
-
-    def score(ranks: Sequence[int], at: int) -> float:
-        others = [rank for team, rank in enumerate(ranks) if team != at]
-        return float(np.mean([0.5 if rank == ranks[at] else rank > ranks[at] for rank in others]))
-
-    games = [(score(ranks, match.snapshots.index(name)), n) for match in matches for ranks, n in match.rankings.items()]
-    seeds = [
-        (float(np.mean([score(ranks, match.snapshots.index(name)) for ranks in cluster])), n)
-        for match in matches
-        for cluster, n in match.seed_clusters.items()
-    ]
-    number, voids = sum(n for _, n in games), sum(match.voids for match in matches)
-    if not number or not seeds:
-        return Score(float("nan"), 0.0, 1.0, number, voids)
-    mean = sum(value * n for value, n in games) / number
-    (values, counts), z2, limit = np.transpose(seeds), quantile(0.95) ** 2, mean * (1 - mean)
-    variance = float((counts * (values - mean) ** 2).sum())
-    decisive = variance / limit if limit else counts.sum()  # games all won have the interval of so many alone
-    effective = counts.sum() * (counts.sum() + z2) / (decisive + z2)
-    centre = (effective * mean + z2 / 2) / (effective + z2)
-    half = math.sqrt(z2 * (effective * limit + z2 / 4)) / (effective + z2)
-    return Score(mean, centre - half, centre + half, number, voids)
+    payoff = sum_matches(matches)
+    found = payoff.score(name, *(other for other in payoff.names if other != name))
+    voids = sum(match.voids for match in matches)
+    return found._replace(games=sum(match.episodes for match in matches), voids=voids)
 
 
 def markdown(played: Tournament) -> str:

@@ -19,6 +19,7 @@ from league.queries.query import Open
 from league.scheduling.progress_metrics import can_meet
 from league.state.jobs import RatingMatch, encode
 from league.state.team_exchange import as_made
+from matchmaking.ratings.scores import Score
 from storage.records import ArenaKey, Match, Purpose, RankedMatch, Snapshot
 
 if TYPE_CHECKING:
@@ -134,6 +135,7 @@ class Exhibition:
     matches: list[Match | RankedMatch]
     events: dict[str, dict[str, float]]  # snapshot -> event -> share of its episodes in which it happened to its team
     seconds: float  # of simulated time in an episode, mean; void ones are left out
+    scores: dict[str, Score]  # of each snapshot against the others, where there are others
 
 
 def exhibition(found: Pairing, episodes: int, recordings: int) -> Exhibition:
@@ -144,6 +146,7 @@ def exhibition(found: Pairing, episodes: int, recordings: int) -> Exhibition:
     match, of more teams each seating of the others is a match.
     """
     from league.matches.evaluator import alternating
+    from league.matches.match_rows import scores_by_seed
     from storage.recordings.recording import to_bytes
 
     store, groups = found.opened.store, max(2, len(found.players))
@@ -167,7 +170,9 @@ def exhibition(found: Pairing, episodes: int, recordings: int) -> Exhibition:
     sound = order[~np.asarray(games.void)[order]]
     decisions = float(np.asarray(games.decisions)[sound].mean()) if len(sound) else 0.0
     events = _event_shares(games, [(world, seats[world // each]) for world in sound])
-    return Exhibition(filed, events, decisions * evaluator.arena.timing.decision_interval)
+    names = [[s.name for s in seating] for seating in seats]
+    scores = scores_by_seed(games, order, evaluator.starts(seats)[order], names, order // each)
+    return Exhibition(filed, events, decisions * evaluator.arena.timing.decision_interval, scores)
 
 
 def _event_shares(

@@ -217,11 +217,19 @@ class MatchEvaluator:
     def _keys(self, seats: Sequence[Sides], seed: int) -> jax.Array:
         """Return a random key for each world; groups of a lineup in its different rotations have the same keys."""
         keys = jax.random.split(jax.random.key(seed), (len(seats), self.each))
+        return keys[self._sources(seats)].reshape(-1)
+
+    def _sources(self, seats: Sequence[Sides]) -> np.ndarray:
+        """Return for each group of worlds the one whose keys it has."""
         source = []
         for first in range(0, len(seats), self.groups):
             rotations = len(set(seats[first : first + self.groups]))
             source += [first + i - i % rotations for i in range(self.groups)]
-        return keys[np.array(source)].reshape(-1)
+        return np.array(source)
+
+    def starts(self, seats: Sequence[Sides]) -> np.ndarray:
+        """Return a number for each world: worlds with the same one play from the same seed."""
+        return (self._sources(seats)[:, None] * self.each + np.arange(self.each)).reshape(-1)
 
     def _load(self, store: Store, snapshot: Snapshot) -> list[Policy]:
         """Load a snapshot's policies; the most recently used ones stay in memory, as many as the settings allow."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from agents.rollout.rollout import PlayedEpisodes
 from league.state.jobs import RatingMatch
+from matchmaking.ratings.scores import Score, SeedScores, effective_seeds, wilson
 from storage.records import ArenaKey, Match, PairCounts, RankedMatch, SeedCluster, competition_ranks
 
 
@@ -76,6 +77,38 @@ def seed_clusters(
     alike = np.take_along_axis(-score, orders[:, None], 2)[:, ~void.any(0)]
     found = Counter(tuple(competition_ranks(tuple(each)) for each in one) for one in alike.swapaxes(0, 1).tolist())
     return dict(sorted(found.items()))
+
+
+def scores_by_seed(
+    games: PlayedEpisodes, worlds: np.ndarray, starts: np.ndarray, names: Sequence[Sequence[str]], seats: np.ndarray
+) -> dict[str, Score]:
+    """Return each snapshot's score against all others in some episodes, with an interval that takes account of seeds.
+
+    Args:
+        games: the played episodes.
+        worlds: (n,) the worlds that count.
+        starts: (n,) a number for each of them; those with the same one share a seed.
+        names: (K,) the names of the snapshots in team order of each seating.
+        seats: (n,) the seating in each world, as its index in `names`.
+    """
+    score, void = np.asarray(games.score)[worlds], np.asarray(games.void)[worlds]
+    known, rows = sorted({name for seating in names for name in seating}), []
+    for k, seating in enumerate(names):
+        at = np.flatnonzero(~void & (seats == k))
+        for group, name in enumerate(known):
+            own, others = np.flatnonzero([s == name for s in seating]), np.flatnonzero([s != name for s in seating])
+            points = (np.sign(score[at][:, own, None] - score[at][:, None, others]) + 1).sum((1, 2)) / 2
+            if len(own) and len(others):
+                weight = np.full(len(at), len(own) * len(others))
+                rows.append(np.stack([np.full(len(at), group), starts[at], weight, points]))
+    group, start, weight, points = np.concatenate([np.zeros((4, 0)), *rows], 1)
+    _, kind = np.unique(start, return_inverse=True)
+    one, group = np.ones(kind.max(initial=-1) + 1, int), group.astype(int)
+    s, effective = effective_seeds(SeedScores(group, kind, weight, points, one, one), len(known))
+    low, high = wilson(s, effective, 0.95)
+    number = np.bincount(group, weight, len(known)).astype(int).tolist()
+    found = zip(known, s.tolist(), low.tolist(), high.tolist(), number, strict=True)
+    return {name: Score(*score) for name, *score in found if score[-1]}
 
 
 def _alone_at_fault(games: PlayedEpisodes, worlds: np.ndarray) -> np.ndarray:

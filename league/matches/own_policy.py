@@ -11,9 +11,8 @@ from league.matches.adhoc_matches import Pairing
 from league.snapshots.programs import callables, importing, stored
 from league.snapshots.programs.kinds import kind_of
 from league.state.jobs import RatingMatch
-from league.state.match_results import results_of
 from matchmaking.ratings.scores import Score, score_interval
-from storage.records import Match, RankedMatch, Snapshot
+from storage.records import Snapshot
 
 if TYPE_CHECKING:
     from league.queries.query import Open
@@ -70,6 +69,8 @@ class Policy:
         With several other teams the opponent plays each of them. In an arena of one team there is no opponent. Raises
         StorageError or ConfigError, one line, if the policy does not fit the team or cannot meet the opponent.
         """
+        from league.matches.match_rows import scores_by_seed, tallied
+
         if not isinstance(episodes, int | np.integer) or episodes < 1:
             raise ConfigError(("episodes",), f"episodes = {episodes!r:.40}: give a whole number of 1 or more")
         teams = len({p.team for p in league.store.players(league.league)})
@@ -89,14 +90,16 @@ class Policy:
             RatingMatch((found.pair,), found.seed("policy"), record=False),
         )
         games = evaluator.games(league.store, seats, task.seed)
-        if found.others:
-            matches: Sequence[Match | RankedMatch] = evaluator.ranked_matches(league.store, games, 0, seats, task)
-        else:
-            matches = [evaluator.pair_match(games, 0, own, found.b, seats, task, None)]
-        wins, draws, losses = map(sum, zip(*(results_of(match, own.name) for match in matches), strict=True))
+        worlds = np.arange(len(seats) * evaluator.each)
+        voids = int(np.asarray(games.void)[worlds].sum())
+        if other is not None:
+            whose = [["own" if s is own else "other" for s in seating] for seating in seats]
+            scores = scores_by_seed(games, worlds, evaluator.starts(seats), whose, worlds // evaluator.each)
+            return scores.get("own", Score(float("nan"), 0.0, 1.0, 0))._replace(voids=voids)
+        wins, draws, losses = tallied(games, worlds, np.zeros(len(worlds), int)).counts
         number, (low, high) = wins + draws + losses, score_interval(wins, draws, losses)
         score = (wins + draws / 2) / number if number else float("nan")
-        return Score(score, float(low), float(high), number, sum(match.voids for match in matches))
+        return Score(score, float(low), float(high), number, voids)
 
     def _policies(self, roster: str) -> list[HostPolicy]:
         if self._kind is not None:

@@ -14,7 +14,6 @@ from matchmaking.metagame.nash import Equilibrium
 from matchmaking.ratings.davidson import expected_score
 from matchmaking.ratings.fit import ELO, Ratings
 from matchmaking.ratings.payoff import Payoff
-from matchmaking.ratings.scores import effective_games
 
 SEED = 1
 """Seed of sampled tables: the same games give the same intervals."""
@@ -25,7 +24,7 @@ class PayoffPosterior:
     """Knowledge of the scores between U snapshots: from their games, and from ratings where they have not met."""
 
     scores: np.ndarray  # (U, U) mean score of the row, nan for pairs that have not met, ½ on the diagonal
-    effective: np.ndarray  # (U, U) equivalent number of decisive games, see `effective_games`
+    effective: np.ndarray  # (U, U) equivalent number of decisive games, see `Payoff.effective_scores`
     strength: np.ndarray  # (U,) in Elo
     ratings: Ratings  # of all snapshots
     chosen: np.ndarray  # (U,) int: positions of these in the ratings
@@ -38,11 +37,11 @@ class PayoffPosterior:
         chosen = np.array([payoff.index(name) for name in names], int)
         place = np.full(len(payoff.names), -1)
         place[chosen] = np.arange(len(chosen))
-        met = (place[payoff.first] >= 0) & (place[payoff.second] >= 0)
-        games = (payoff.home + payoff.away)[met]
-        scores, effective = effective_games(games[:, 0], games[:, 1], games[:, 2], payoff.pairs[met])
-        met, scores, effective = np.flatnonzero(met)[games.any(1)], scores[games.any(1)], effective[games.any(1)]
-        first, second = place[payoff.first[met]], place[payoff.second[met]]
+        both = (place[payoff.first] >= 0) & (place[payoff.second] >= 0)
+        met = np.flatnonzero(both & (payoff.home + payoff.away).any(1))
+        ends = payoff.first[met], payoff.second[met]
+        _, scores, effective = payoff.effective_scores(*ends, np.arange(len(met)), len(met))
+        first, second = (place[end] for end in ends)
         table, weight = np.full((len(chosen),) * 2, np.nan), np.zeros((len(chosen),) * 2)
         np.fill_diagonal(table, 0.5)
         table[first, second], table[second, first] = scores, 1 - scores

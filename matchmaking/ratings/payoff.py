@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from matchmaking.ratings.rankings import NO_RANKINGS, Rankings, lineups_of, pair_rows
-from matchmaking.ratings.scores import SUSPECT, Score, mean_interval, score_interval
+from matchmaking.ratings.rankings import NO_RANKINGS, PairsBySeed, Rankings, lineups_of, pair_rows
+from matchmaking.ratings.scores import SUSPECT, Score, effective_games, effective_seeds, mean_interval, wilson
 from storage.errors import StorageError
 from storage.records import COUNT_COLUMNS, ArenaKey, LineupTotals, Match, MatchTotals, RankedMatch
 
@@ -174,30 +174,60 @@ class Payoff:
 
         Raises ValueError for an unknown name. Repeated names count once.
         """
-        wins, draws, losses, *pairs = self.against(a, others)
-        low, high = score_interval(wins, draws, losses, np.array(pairs), confidence)
-        n = wins + draws + losses
-        voids = self.voids_against(a, others)
-        return Score((wins + draws / 2) / n if n else float("nan"), float(low), float(high), n, voids)
+        met = np.array([self.index(name) for name in dict.fromkeys(others)], int)
+        return self.scores_of(np.array(self.index(a)), met, np.zeros(len(met), int), 1, confidence)[0]
 
     def mean_score(self, a: str, *others: str) -> Score:
         """Return the mean of the scores of a against each of `others` with games; repeated names count once.
 
         In contrast to `score`, each of them has the same weight, however many games there are.
         """
-        met = np.array([self.index(name) for name in dict.fromkeys(others)], int)
-        counts = self.between(np.array(self.index(a)), met)
-        played, voids = counts[counts[:, :3].any(1)], int(counts[:, 8].sum())
-        if not len(played):
+        own, met = np.array(self.index(a)), np.array([self.index(name) for name in dict.fromkeys(others)], int)
+        counts = self.between(own, met)
+        played, voids = counts[:, :3].any(1), int(counts[:, 8].sum())
+        if not played.any():
             return Score(float("nan"), 0.0, 1.0, 0, voids)
-        wins, draws, losses = played.T[:3]
-        mean, low, high = mean_interval(wins, draws, losses, played[:, 3:8])
-        return Score(mean, low, high, int(played[:, :3].sum()), voids)
+        wins, draws, losses = counts[played][:, :3].T
+        games = wins + draws + losses
+        if self.rankings:
+            by_seed = self._pairs_by_seed.scores(own, met[played], np.zeros(len(games), int), 1 / games)
+            s, effective = effective_seeds(by_seed, 1)
+            low, high = wilson(s, effective, 0.95)
+            return Score(s.item(), low.item(), high.item(), int(games.sum()), voids)
+        mean, low, high = mean_interval(wins, draws, losses, counts[played][:, 3:8])
+        return Score(mean, low, high, int(games.sum()), voids)
 
-    def voids_against(self, a: str, others: Iterable[str]) -> int:
-        """Return the void episodes of a against all of `others`; repeated names count once."""
-        met = np.array([self.index(name) for name in dict.fromkeys(others)], int)
-        return int(self.between(np.array(self.index(a)), met)[:, 8].sum())
+    def scores_of(
+        self, i: np.ndarray, j: np.ndarray, group: np.ndarray, groups: int, confidence: float = 0.95
+    ) -> list[Score]:
+        """Return the score of i over the games against j, arrays that broadcast, for each group (M,) of pairs."""
+        counts, s, effective = self.effective_scores(i, j, group, groups, confidence)
+        low, high = wilson(s, effective, confidence)
+        games = counts[:, :3].sum(1)
+        s = np.where(games > 0, s, np.nan)
+        return [
+            Score(float(s[g]), float(low[g]), float(high[g]), int(games[g]), int(counts[g, 8])) for g in range(groups)
+        ]
+
+    def effective_scores(
+        self, i: np.ndarray, j: np.ndarray, group: np.ndarray, groups: int, confidence: float = 0.95
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return for each group of pairs i, j the counts (G, 9) of `between`, the mean score (G,) of i, and n* (G,).
+
+        n* is the equivalent number of decisive games, see `scores.effective_games` and `scores.effective_seeds`.
+        """
+        counts = np.zeros((groups, 9), np.int64)
+        np.add.at(counts, group, self.between(i, j))
+        wins, draws, losses, *pairs = counts[:, :8].T
+        s, effective = effective_games(wins, draws, losses, np.stack(pairs, -1), confidence)
+        if self.rankings:
+            by_seed = self._pairs_by_seed.scores(i, j, group, np.ones(len(group)))
+            effective = effective_seeds(by_seed, groups, confidence)[1]
+        return counts, s, effective
+
+    @cached_property
+    def _pairs_by_seed(self) -> PairsBySeed:
+        return self.rankings.by_seed(len(self.names))
 
     @cached_property
     def suspect(self) -> frozenset[frozenset[str]]:

@@ -3,12 +3,14 @@
 Below P is the number of players, R the number of different rankings of n players each.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from matchmaking.ratings.scores import SeedScores
 from storage.records import LineupTotals, RankedMatch, SeedCluster
 
 MAX_TABLE = 4_000_000
@@ -37,15 +39,43 @@ class ClusterBlock(NamedTuple):
         return Block(self.players.reshape(-1, n), self.ranks.reshape(-1, n), np.ones(self.players[..., 0].size, int))
 
 
+class PairsBySeed(NamedTuple):
+    """Games of two players each in M kinds of seed clusters or of single rankings; U is the number of kinds."""
+
+    players: int  # P
+    pair: np.ndarray  # (M,) int: first P + second, ascending; first is the smaller index
+    kind: np.ndarray  # (M,) int
+    games: np.ndarray  # (M,) between the two in one seed of that kind, or in one ranking
+    points: np.ndarray  # (M,) of first in these games
+    number: np.ndarray  # (U,) how often each kind occurred
+    effect: np.ndarray  # (U,) as in SeedScores: 1, or the number of rotations where it is unknown which share a seed
+
+    def scores(self, i: np.ndarray, j: np.ndarray, group: np.ndarray, weight: np.ndarray) -> SeedScores:
+        """Return the scores of i against j, which broadcast to (Q,), in groups (Q,).
+
+        `weight` (Q,) is that of a game between the two.
+        """
+        i, j = np.broadcast_arrays(i, j)
+        wanted = np.minimum(i, j) * self.players + np.maximum(i, j)
+        first, last = (np.searchsorted(self.pair, wanted, side) for side in ("left", "right"))
+        asked = np.repeat(np.arange(len(wanted)), last - first)
+        at = np.arange(len(asked)) + (last - np.cumsum(last - first))[asked]
+        points = np.where((i > j)[asked], self.games[at] - self.points[at], self.points[at])
+        games, points = weight[asked] * self.games[at], weight[asked] * points
+        return SeedScores(group[asked], self.kind[at], games, points, self.number, self.effect)
+
+
 @dataclass(frozen=True, eq=False)
 class Rankings:
     """Different rankings and their numbers, by number of players. They do not depend on the order of games.
 
-    `clusters` are those of the rankings' games that share a seed, by numbers of rankings and of players.
+    `clusters` are those of the rankings' games that share a seed, by numbers of rankings and of players. `seatings` are
+    the tuples of players, in team order, that played.
     """
 
     blocks: tuple[Block, ...] = ()
     clusters: tuple[ClusterBlock, ...] = ()
+    seatings: frozenset[tuple[int, ...]] = frozenset()
 
     def __bool__(self) -> bool:
         return bool(self.blocks)
@@ -54,11 +84,13 @@ class Rankings:
     def of(cls, lineups: Mapping[tuple[str, ...], LineupTotals], place: Mapping[str | None, int]) -> "Rankings":
         """Return the rankings of lineups; `place` has the index of each snapshot."""
         rows: dict[int, list[tuple[list[int], tuple[int, ...], int]]] = {}
+        seatings: set[tuple[int, ...]] = set()
         shared: dict[tuple[int, int], list[tuple[list[list[int]], SeedCluster, int]]] = {}
         for snapshots, totals in lineups.items():
             players = [place[name] for name in snapshots]
             if len(set(players)) < 2:  # a snapshot against itself alone says nothing of strength
                 continue
+            seatings.add(tuple(players))
             for ranks, number in totals.rankings.items():
                 if number:
                     rows.setdefault(len(players), []).append((players, ranks, number))
@@ -69,6 +101,7 @@ class Rankings:
         return cls._merged(
             [Block(*_sorted(*map(np.array, zip(*some, strict=True)))) for some in rows.values()],
             [ClusterBlock(*_sorted(*map(np.array, zip(*some, strict=True)))) for some in shared.values()],
+            seatings,
         )
 
     @classmethod
@@ -96,16 +129,19 @@ class Rankings:
 
     def renumbered(self, now: np.ndarray) -> "Rankings":
         """Return the rankings with player i as player `now[i]`."""
+        to = now.tolist()
         return Rankings._merged(
             [Block(*_sorted(now[each.players], each.ranks, each.number)) for each in self.blocks],
             [ClusterBlock(*_sorted(now[each.players], each.ranks, each.number)) for each in self.clusters],
+            {tuple(to[i] for i in seating) for seating in self.seatings},
         )
 
     def plus(self, other: "Rankings") -> "Rankings":
         """Return these and other rankings of the same players."""
         if not (self and other):
             return self or other
-        return Rankings._merged([*self.blocks, *other.blocks], [*self.clusters, *other.clusters])
+        seatings = self.seatings | other.seatings
+        return Rankings._merged([*self.blocks, *other.blocks], [*self.clusters, *other.clusters], seatings)
 
     def episodes(self, size: int) -> np.ndarray:
         """Return the number (P,) of games of each player."""
@@ -140,6 +176,42 @@ class Rankings:
         np.add.at(found, (inverse, np.concatenate(keys) % 3), np.concatenate(counts))
         return *np.divmod(key, size), found
 
+    def by_seed(self, size: int) -> PairsBySeed:
+        """Return the games of all pairs of players by kinds of seed clusters, and by kinds of rankings outside them.
+
+        Where no cluster says what shares a seed, the rotations of a lineup may all have: `effect` is their number.
+        """
+        clusters = [(*each, np.ones(len(each.number), int)) for each in self.clusters]
+        outside = [(each.players[:, None], each.ranks[:, None], *each[2:], effect) for each, effect in self._outside()]
+        found, first = [], 0
+        for players, ranks, *_ in (kinds := clusters + outside):
+            found += [np.stack([pair, kind + first, *rest]) for pair, kind, *rest in _games(players, ranks, size)]
+            first += len(players)
+        pair, kind, games, points = np.concatenate(found, 1) if found else np.zeros((4, 0))
+        order = np.argsort(pair, kind="stable")
+        number, effect = (np.concatenate([np.zeros(0, int), *(each[k] for each in kinds)]) for k in (2, 3))
+        pair, kind = pair[order].astype(np.int64), kind[order].astype(np.int64)
+        return PairsBySeed(size, pair, kind, games[order], points[order], number, effect)
+
+    def _outside(self) -> Iterator[tuple[Block, np.ndarray]]:
+        """Yield the rankings that belong to no seed cluster, and the numbers (R,) of rotations of their lineups."""
+        inside = [each.rankings._replace(number=-np.repeat(each.number, each.ranks.shape[1])) for each in self.clusters]
+        rotations = self._rotations()
+        for players, ranks, number in _each_once([*self.blocks, *inside]):
+            left = number > 0
+            lineups = np.sort(players[left], 1).tolist()
+            effect = np.array([rotations.get(tuple(lineup), 1) for lineup in lineups], int)
+            yield Block(players[left], ranks[left], number[left]), effect
+
+    def _rotations(self) -> dict[tuple[int, ...], int]:
+        """Return how many rotations of the same order of players have played, by players in ascending order."""
+        orders = Counter(min((*each[i:], *each[:i]) for i in range(len(each))) for each in self.seatings)
+        found: dict[tuple[int, ...], int] = {}
+        for order, number in orders.items():
+            lineup = tuple(sorted(order))
+            found[lineup] = max(found.get(lineup, 1), number)
+        return found
+
     def _outcomes(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield pairs and their outcomes as numbers, 3 (first P + second) + 0, 1 or 2 for a win, draw or loss of the
         first, and how often each occurred.
@@ -155,11 +227,14 @@ class Rankings:
                 yield key[a != b], many[a != b]
 
     @classmethod
-    def _merged(cls, blocks: Iterable[Block], clusters: Iterable[ClusterBlock] = ()) -> "Rankings":
+    def _merged(
+        cls, blocks: Iterable[Block], clusters: Iterable[ClusterBlock] = (), seatings: Iterable[tuple[int, ...]] = ()
+    ) -> "Rankings":
         """Return rankings with one block for each shape, in which each ranking and each cluster is there once."""
         return cls(
             tuple(Block(*each) for each in _each_once(blocks)),
             tuple(ClusterBlock(*each) for each in _each_once(map(_canonical, clusters))),
+            frozenset(seatings),
         )
 
 
@@ -203,6 +278,23 @@ def pair_rows(
                     caused = unclear + own + theirs
                     voids.append([one, other, *[0] * 11, caused, own, theirs, totals.voids - caused])
     return np.concatenate([met, np.array(voids, np.int64).reshape(-1, 17)])
+
+
+def _games(
+    players: np.ndarray, ranks: np.ndarray, size: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield pair, kind, games and points, each (M,) as in `PairsBySeed`, of kinds (C, k, n) of k rankings each."""
+    ahead, behind = np.triu_indices(players.shape[2], 1)
+    for rows in chunks(len(players), players.shape[1] * len(ahead)):
+        a, b = players[rows][..., ahead], players[rows][..., behind]
+        drawn = ranks[rows][..., ahead] == ranks[rows][..., behind]
+        points = np.where(drawn, 0.5, a < b)  # of the player with the smaller index
+        kind = np.broadcast_to(np.arange(len(players))[rows, None, None], a.shape)
+        met = a != b
+        pair = np.minimum(a, b)[met] * size + np.maximum(a, b)[met]
+        key, place = np.unique(kind[met] * size**2 + pair, return_inverse=True)
+        kind, pair = np.divmod(key, size**2)
+        yield pair, kind, np.bincount(place), np.bincount(place, points[met])
 
 
 def _sorted(players: np.ndarray, ranks: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

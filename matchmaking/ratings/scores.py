@@ -102,6 +102,52 @@ def effective_games(wins, draws, losses, pairs=None, confidence: float = 0.95) -
     return s, effective
 
 
+class SeedScores(NamedTuple):
+    """Weighted scores of G groups of games, as M rows, by kinds of seed clusters and of single episodes.
+
+    The games of a cluster, or of an episode of several teams, are correlated: those of one kind and group, in several
+    rows where there are several opponents, are a unit.
+    """
+
+    group: np.ndarray  # (M,) int
+    kind: np.ndarray  # (M,) int
+    weight: np.ndarray  # (M,) sum of the weights of these games of one unit
+    points: np.ndarray  # (M,) scored in these games of one unit, times their weights
+    number: np.ndarray  # (U,) how often each kind occurred
+    effect: np.ndarray  # (U,) largest variance of the units of a kind, in that of as many independent ones
+
+
+def effective_seeds(scores: SeedScores, groups: int, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean scores s (G,) and n* (G,), the equivalent numbers of decisive games; 0 and 0 without games.
+
+    Of weights w whose sum over a group's units is 1, and with the mean score y of a unit:
+
+        n* = 1 / (r Σ f w²),   r = (Σ f w² (y - s)²/(s(1-s)) + z² a) / (Σ f w² + z² a),   a = Σ f w² / Σ 1/f
+
+    with f the kind's `effect`, so units that may all be copies in groups of f count as so many fewer. For seed pairs
+    alone this is n* of `effective_games`. The variance of the scores among opponents counts as chance, so the interval
+    of a mean over several is too wide rather than too narrow.
+    """
+    U, z2 = max(len(scores.number), 1), quantile(confidence) ** 2
+    unit, place = np.unique(scores.group * U + scores.kind, return_inverse=True)
+    group, kind = np.divmod(unit, U)
+    weight, points = (np.bincount(place, each, len(unit)) for each in (scores.weight, scores.points))
+    number, effect = scores.number[kind], scores.effect[kind]
+
+    def total(each: np.ndarray) -> np.ndarray:
+        return np.bincount(group, number * each, groups)
+
+    whole = total(weight)
+    weight, points = (each / whole[group] for each in (weight, points))
+    s = np.clip(total(points), 0, 1)
+    limit, squares = s * (1 - s), total(effect * (points - weight * s[group]) ** 2)
+    spread, units = total(effect * weight**2), total(1 / effect)
+    played, certain = units > 0, limit < 1e-12  # only wins or only losses
+    pseudo = z2 * spread / np.where(played, units, 1)
+    r = np.where(certain, 1, (squares / np.where(certain, 1, limit) + pseudo) / np.where(played, spread + pseudo, 1))
+    return s, np.where(played, 1 / np.where(played, r * spread, 1), 0)
+
+
 def quantile(confidence: float) -> float:
     """Return the two-sided quantile z of the standard normal distribution, e.g.
 

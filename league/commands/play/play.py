@@ -59,7 +59,7 @@ def play(args: list[str]) -> int:
     if options.format == "json":
         print(json.dumps(_as_json(found, played), indent=2))
         return 0
-    print(_ranking(found, matches) if found.others else _result(found, matches))
+    print(_ranking(found, played) if found.others else _result(found, played))
     print("\n".join(_happened(played)))
     for match in matches:
         if match.recording is not None:
@@ -67,23 +67,22 @@ def play(args: list[str]) -> int:
     return 0
 
 
-def _result(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
+def _result(found: Pairing, played: Exhibition) -> str:
     """Describe the result of one team or two, for A."""
-    wins, draws, losses = _counts(matches, found.a.name)
+    wins, draws, losses = _counts(played.matches, found.a.name)
     against = f" against {found.b.name}" if found.b else ""
-    counts = f"{wins} won, {draws} drawn, {losses} lost{_voids(matches)}"
-    measured = _measured(wins, draws, losses)
+    counts = f"{wins} won, {draws} drawn, {losses} lost{_voids(played.matches)}"
+    measured = _measured(played, found.a.name)
     score = f" {found.a.name} scores {score_text(measured)}." if measured else ""
     return f"Exhibition of {found.a.name}{against}: {counts}.{score}"
 
 
-def _ranking(found: Pairing, matches: Sequence[Match | RankedMatch]) -> str:
+def _ranking(found: Pairing, played: Exhibition) -> str:
     """Describe the result of three and more teams: each snapshot's score against the others, the best first."""
     names = list(dict.fromkeys(s.name for s in found.players))
-    counts = {name: _counts(matches, name) for name in names}
-    episodes = sum(match.episodes for match in matches)
-    lines = [f"Exhibition of {', '.join(names)}: {episodes} episode{'s' * (episodes != 1)}{_voids(matches)}."]
-    scores = {name: each for name in names if (each := _measured(*counts[name]))}
+    episodes = sum(match.episodes for match in played.matches)
+    lines = [f"Exhibition of {', '.join(names)}: {episodes} episode{'s' * (episodes != 1)}{_voids(played.matches)}."]
+    scores = {name: each for name in names if (each := _measured(played, name))}
     for name, each in sorted(scores.items(), key=lambda item: -item[1].score):
         lines.append(f"  {name} scores {score_text(each)} against the others.")
     return "\n".join(lines)
@@ -107,15 +106,14 @@ def _as_json(found: Pairing, played: Exhibition) -> dict[str, Any]:
         "episodes": sum(match.episodes for match in matches),
         "voids": sum(match.voids for match in matches),
         "mean_seconds": played.seconds,
-        "results": [
-            {"name": name, **_row(*_counts(matches, name)), "events": played.events.get(name, {})} for name in names
-        ],
+        "results": [{"name": name, **_row(played, name), "events": played.events.get(name, {})} for name in names],
         "recorded_matches": [match.id for match in matches if match.recording is not None],
     }
 
 
-def _row(wins: int, draws: int, losses: int) -> dict[str, Any]:
-    found = _measured(wins, draws, losses)
+def _row(played: Exhibition, name: str) -> dict[str, Any]:
+    wins, draws, losses = _counts(played.matches, name)
+    found = _measured(played, name)
     score, low, high = (found.score, found.low, found.high) if found else (None, None, None)
     return {"wins": wins, "draws": draws, "losses": losses, "score": score, "score_low": low, "score_high": high}
 
@@ -125,8 +123,11 @@ def _counts(matches: Sequence[Match | RankedMatch], name: str) -> tuple[int, int
     return wins, draws, losses
 
 
-def _measured(wins: int, draws: int, losses: int) -> Score | None:
-    """Return the score with its 95 % interval; None without games."""
+def _measured(played: Exhibition, name: str) -> Score | None:
+    """Return the score with its 95 % interval; None without games. Without others the episodes share no seed."""
+    if name in played.scores:
+        return played.scores[name]
+    wins, draws, losses = _counts(played.matches, name)
     if not (games := wins + draws + losses):
         return None
     low, high = score_interval(wins, draws, losses)

@@ -1,6 +1,5 @@
 """Rows of a ladder, one per snapshot, as `league ratings` prints and `league.open(...).ratings()` gives them."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime
@@ -11,7 +10,7 @@ import numpy as np
 from league.scheduling.progress_metrics import initial_opponents
 from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.payoff import Payoff
-from matchmaking.ratings.scores import Score, is_suspect, score_interval
+from matchmaking.ratings.scores import Score, is_suspect
 from storage.errors import UnknownName
 from storage.records import ArenaKey, Player, Snapshot
 
@@ -152,16 +151,8 @@ def scores_against_initial(
         for o in initial_opponents(s, first, players)
     ]
     who, a, b = np.array(ends, int).reshape(-1, 3).T
-    counts = np.zeros((len(snapshots), 9), np.int64)
-    np.add.at(counts, who, payoff.between(a, b))
-    met = np.flatnonzero(counts[:, :8].any(1))
-    wins, draws, losses, *pairs, voids = counts[met].T
-    low, high = score_interval(wins, draws, losses, np.stack(pairs, 1))
-    games = wins + draws + losses
-    scored = zip(
-        ((wins + draws / 2) / games).tolist(), low.tolist(), high.tolist(), games.tolist(), voids.tolist(), strict=True
-    )
-    return {snapshots[i].name: Score(*score) for i, score in zip(met.tolist(), scored, strict=True)}
+    found = payoff.scores_of(a, b, who, len(snapshots))
+    return {s.name: score for s, score in zip(snapshots, found, strict=True) if score.games}
 
 
 def when(seconds: float) -> str | None:
@@ -193,12 +184,10 @@ def side_score(ladder: Ladder, snapshots: Iterable[Snapshot], one: str, other: s
     """Return one roster's score against another in all their games, which mixes the role with the players' skill."""
     payoff, rosters = ladder.payoff, {s.name: s.roster for s in snapshots}
     own, theirs = (np.array([rosters.get(name) == roster for name in payoff.names], bool) for roster in (one, other))
-    both = payoff.home + payoff.away
-    forward, back = (own[a] & theirs[b] for a, b in ((payoff.first, payoff.second), (payoff.second, payoff.first)))
-    wins, draws, losses = map(int, both[forward].sum(0) + both[back].sum(0)[::-1])
-    low, high = score_interval(wins, draws, losses)
-    games = wins + draws + losses
-    return Score((wins + draws / 2) / games if games else math.nan, float(low), float(high), games)
+    a, b = payoff.first, payoff.second
+    forward, back = own[a] & theirs[b], own[b] & theirs[a]
+    i, j = np.concatenate([a[forward], b[back]]), np.concatenate([b[forward], a[back]])
+    return payoff.scores_of(i, j, np.zeros(len(i), int), 1)[0]._replace(voids=0)
 
 
 def side_text(roster: str) -> str:

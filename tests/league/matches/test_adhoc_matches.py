@@ -201,6 +201,9 @@ def test_an_exhibition_is_recorded_and_counts_for_no_rating(tmp_path, capsys):
     assert [each["events"] for each in told["results"]] == [{"arrival": 1.0}, {"arrival": 0.0}]
     seeds = {m.seed for m in log(pucks)}
     assert len(seeds) == 2  # another exhibition is another
+    _, out, _ = said(capsys, *asked, "--episodes", "4", "--record", "0", "--format", "json")
+    won = json.loads(out)["results"][0]
+    assert (won["score"], won["score_low"]) == (1.0, pytest.approx(2 / (2 + 1.959964**2)))  # of two seeds, all won
     _, table, _ = said(capsys, "matches", "--store", str(pucks))
     assert "exhibition" in table
 

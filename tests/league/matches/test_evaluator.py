@@ -10,6 +10,7 @@ from agents.rollout.rollout import PlayedEpisodes
 from arenas.physics.void_causes import Cause
 from league.config import presets
 from league.matches.evaluator import MatchEvaluator
+from league.matches.match_rows import scores_by_seed
 from league.snapshots.codec import add_scripts
 from league.state.jobs import RatingMatch
 from league.state.match_results import results_of
@@ -185,6 +186,41 @@ def test_a_lineup_of_three_plays_in_its_three_rotations_from_the_same_seeds(thre
     assert len(np.unique(keys[[0, 3, 4, 5]].reshape(8, -1), axis=0)) == 8  # equal seatings repeat no seed
     with pytest.raises(StorageError, match=r"p \(puck:22:2\) and q \(puck:22:2\) and a \(leatherback:20:2\) cannot"):
         three.side_orders(P, Q, A)
+
+
+def test_worlds_have_the_same_start_where_they_have_the_same_key(three):
+    seats = [*three.side_orders(P, Q, R), *three.side_orders(P, P, P), *three.side_orders(P, Q, Q)]
+    keys = np.asarray(jax.random.key_data(three._keys(seats, seed=5))).reshape(18, -1)
+    starts = three.starts(seats)
+    same = (keys[:, None] == keys).all(-1)
+    assert (same == (starts[:, None] == starts)).all()
+    assert same.sum() == 2 * 9 + 6 + 2 * 9  # two seeds in three rotations, and six of a lineup that has one
+
+
+def test_scores_of_played_episodes_count_what_shares_a_seed_once(three):
+    score = np.zeros((12, 3))
+    score[:6] = [[3, 0, 0]] * 2 + [[0, 0, 3]] * 2 + [[0, 3, 0]] * 2  # p is ahead of both in all three rotations
+    played = PlayedEpisodes(
+        score=score, void=np.zeros(12, bool), at_fault=np.zeros((12, 3), bool), decisions=np.arange(12), frames=(),
+        actions={}, reward=np.zeros(0), running=np.zeros(0),
+    )  # fmt: skip
+    seats = three.side_orders(P, Q, R)
+    worlds, names, starts = np.arange(6), [[s.name for s in each] for each in seats], three.starts([*seats, *seats])
+
+    def found(*chosen: int) -> dict:
+        at = np.array(chosen)
+        return scores_by_seed(played, at, starts[at], names, at // three.each)
+
+    z2 = 1.959964**2
+    assert {name: (each.score, each.games) for name, each in found(*worlds).items()} == {
+        "p": (1.0, 12), "q": (0.25, 12), "r": (0.25, 12),
+    }  # fmt: skip
+    assert found(*worlds)["p"].low == pytest.approx(2 / (2 + z2))  # two seeds, all won
+    assert found(0, 2, 4)["p"].low == pytest.approx(1 / (1 + z2))
+    assert found(0, 3)["p"].low == pytest.approx(2 / (2 + z2))  # of different seeds
+    played.void[[0, 2, 4]] = True
+    assert (found(*worlds)["p"].games, found(*worlds)["p"].low) == (6, pytest.approx(1 / (1 + z2)))
+    assert found(0, 2, 4) == {}
 
 
 def test_snapshots_of_unlike_rosters_take_the_teams_that_they_fit(three, monkeypatch):

@@ -1,6 +1,7 @@
 """A league of three teams as commands, the page and `league.open` show it."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -8,9 +9,12 @@ import league
 from league.commands.cli import main
 from league.queries.page.league_page import page
 from league.queries.query import Open
+from league.queries.ratings.rating_rows import scores_against_initial, side_score
 from league.state.league_state import LeagueState
 from matchmaking.ratings.fit import fit
+from matchmaking.ratings.ladder import Ladder
 from matchmaking.ratings.payoff import sum_matches
+from matchmaking.ratings.scores import score_interval
 from storage.records import ArenaKey, League, Match, RankedMatch
 from storage.store import Store
 from tests.league.leagues import CONFIG, C, finish, match, player, snapshot
@@ -90,6 +94,21 @@ def test_ratings_are_those_of_the_rankings(ran, place):
     assert "Ratings are fitted to whole rankings; in games and w-d-l each other team counts as a game." in out
     code, out, err = ran("ratings", "--ticker")
     assert (code, out, err.count("\n")) == (2, "", 1)
+
+
+def test_scores_against_two_others_of_one_episode_have_the_intervals_of_episodes():
+    """Both initial snapshots of unlike sides, and the games of a side against one other, as the ladder has them."""
+    unlike = [PLAYERS[0], *(replace(p, roster="puck:22:2") for p in PLAYERS[1:])]
+    pool, ladder = [snapshot(p, i) for p in unlike for i in (0, 4)], Ladder((), LOG)
+    score = scores_against_initial(ladder, pool, unlike)["blue@4"]
+    assert score == ladder.score("blue@4", "red@0", "green@0")
+    assert (score.score, score.games) == (pytest.approx(37 / 40), 40)
+    low, high = score_interval(37, 0, 3)
+    assert score.high - score.low > 1.04 * (high - low)
+    side = side_score(ladder, pool, "rover", "puck:22:2")
+    assert (side.score, side.games) == (pytest.approx(84 / 156), 156)
+    low, high = score_interval(80, 8, 68)
+    assert side.high - side.low > 1.2 * (high - low)
 
 
 def test_a_lineup_tells_who_played_with_whom(ran, place):

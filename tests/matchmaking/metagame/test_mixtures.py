@@ -1,5 +1,7 @@
 """Tables with what games leave open, and the intervals of mixtures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from matchmaking.metagame.mixtures import PayoffPosterior, mixture_interval
 from matchmaking.metagame.nash import nash
 from matchmaking.ratings.fit import fit
 from matchmaking.ratings.payoff import sum_matches
+from tests.matchmaking.ratings.test_seed_clusters import drawn, rotations
 
 
 def evidence(log, names):
@@ -79,3 +82,11 @@ def test_a_mixtures_interval_shrinks_with_the_games_to_the_mixture(match, solve)
         assert bounds.value[0] == pytest.approx(0.5)
         widths.append((bounds.high - bounds.low).max())
     assert widths[1] < widths[0] / 4 or (solve is alpharank and widths[1] < 1e-3)
+
+
+def test_rotations_that_share_their_seeds_tell_as_much_as_their_seeds():
+    log = rotations("abc", drawn(np.random.default_rng(0), 60, copies=True))
+    once, thrice = evidence([replace(log[0], seed_clusters={})], "abc"), evidence(log, "abc")
+    assert thrice.effective == pytest.approx(once.effective)
+    assert thrice.scores == pytest.approx(once.scores, nan_ok=True)
+    assert (thrice.effective[0, 1:] > 30).all()
