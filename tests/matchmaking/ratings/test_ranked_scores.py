@@ -112,6 +112,12 @@ def test_scores_turn_with_the_viewpoint():
     assert (theirs.score, theirs.low, theirs.high) == pytest.approx((1 - ours.score, 1 - ours.high, 1 - ours.low))
 
 
+def test_a_mean_over_equally_many_games_is_the_score_of_all_of_them():
+    payoff = sum_matches(rotations("abc", halfway(np.random.default_rng(3), 50)))
+    for name, others in (("a", "bc"), ("b", "ac"), ("c", "ab"), ("c", "a")):
+        assert ends(payoff.mean_score(name, *others)) == interval(payoff.score(name, *others))
+
+
 def test_a_snapshot_in_two_seats_is_met_twice_in_each_episode():
     seeds = [((1, 2, 3),) * 3, ((2, 1, 3), (1, 2, 3), (3, 1, 2))] * 20
     score = sum_matches(rotations("abb", seeds)).score("a", "b")
@@ -176,15 +182,21 @@ def ignoring_seeds(payoff: Payoff, others: str) -> tuple[float, float]:
     ids=["independent", "halfway", "copies"],
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(draw, before):
-    """Of 500 logs, 95 % ± 1 % would be held; `before` bounds the rate of intervals that ignore seeds and episodes."""
+    """Of 500 logs, 95 % ± 1 % would be held; `before` bounds the rate of intervals that ignore seeds.
+
+    Rows that do not know their seeds have wider intervals.
+    """
     rng, truth = np.random.default_rng(4), expected(THETA, TIES)[0]
     for others, most in zip(("b", "bc"), before, strict=True):
-        true, held, alone = truth[1 : 1 + len(others)].mean(), [], []
+        true, held, alone, wide = truth[1 : 1 + len(others)].mean(), [], [], []
         for _ in range(500):
-            payoff = sum_matches(rotations("abc", draw(rng)))
+            payoff = sum_matches(log := rotations("abc", draw(rng)))
+            earlier = sum_matches(unknown(log)).score("a", *others)
+            wide.append(earlier.low < true < earlier.high)
             for score in (payoff.score("a", *others), payoff.mean_score("a", *others)):
                 held.append(score.low < true < score.high)
             low, high = ignoring_seeds(payoff, others)
             alone.append(low < true < high)
         assert 0.93 < np.mean(held) < 0.985
+        assert np.mean(wide) > 0.93
         assert np.mean(alone) < most
