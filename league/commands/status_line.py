@@ -64,8 +64,7 @@ class Ticker:
         learners = [w.status for w in _of_this_run(workers) if "train" in w.kinds.split("+")]
         training = [said for said in learners if "steps" in said]
         past = clock(time.monotonic() - self.began)
-        games = state.ladder.payoff.home.sum() + state.ladder.payoff.away.sum()
-        rated = f"{games + state.ladder.payoff.trials[:, :2].sum():,} rated episodes"
+        rated = f"{state.ladder.payoff.valid_episodes:,} rated episodes"
         if stage != "training":
             left = self._rating_left(state, stage)
             known = _against_initial(state) or _unknown(state)

@@ -73,6 +73,12 @@ class Payoff:
         return self.rankings.episodes(len(self.names)) if self.rankings else self.played
 
     @cached_property
+    def valid_episodes(self) -> int:
+        """Valid episodes of all matches, each once, whatever its number of teams."""
+        of_pairs = 0 if self.rankings else int(self.home.sum() + self.away.sum())
+        return sum(int(each.number.sum()) for each in self.rankings.blocks) + of_pairs + int(self.trials[:, :2].sum())
+
+    @cached_property
     def total_episodes(self) -> np.ndarray:
         """Episodes (P,) of each snapshot, void ones included."""
         return self.played + self._each(self.voids[:, None], self.voids[:, None])[:, 0]

@@ -17,7 +17,7 @@ from league.state.league_state import LeagueState
 from matchmaking.ratings import ladder as ladders
 from matchmaking.ratings.fit import fit
 from matchmaking.ratings.ladder import Ladder
-from storage.records import Job, Phase, Worker
+from storage.records import Job, Phase, RankedMatch, Worker
 from tests.league.leagues import match, player, snapshot
 
 QUICKSTART = presets.preset("quickstart")
@@ -256,3 +256,23 @@ def plain(text: str) -> str:
 def test_a_line_fits_nothing_at_all(monkeypatch):
     monkeypatch.setattr(ladders, "fit", lambda *_, **__: pytest.fail("the progress line fitted ratings"))
     assert ticker().line(league_state(*PLAYED), "training", [worker(**SAID)])
+
+
+@pytest.mark.parametrize("teams", [2, 3, 8])
+def test_an_episode_of_many_teams_is_one_rated_episode(teams):
+    many = [player(name, team) for team, name in enumerate("abcdefgh"[:teams])]
+    log = [match("a@64", "b@64", 60, 30, 10)]
+    if teams > 2:
+        lineup = tuple(f"{p.name}@64" for p in many)
+        won = RankedMatch("cup", log[0].arena, lineup, {tuple(range(1, teams + 1)): 1000}, 7, (0,) * teams, seed=1)
+        log = [won, replace(won, snapshots=("a@1", *lineup[1:]), rankings={(1,) * teams: 24})]
+    state = league_state(*log, players=many)
+    assert f"{1024 if teams > 2 else 100:,} rated episodes" in ticker().line(state, "done", [], 200).split(" · ")
+    more = replace(state, ladder=state.ladder.extended(log))
+    assert more.ladder.payoff.valid_episodes == 2 * state.ladder.payoff.valid_episodes
+
+
+def test_trials_of_one_team_are_rated_episodes():
+    alone = [player("blue", 0)]
+    state = league_state(match("blue@64", None, 60, 30, 10, voids=5), players=alone)
+    assert "100 rated episodes" in ticker().line(state, "done", [], 200).split(" · ")
