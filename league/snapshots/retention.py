@@ -8,12 +8,17 @@ A thinned snapshot stays on the ladder with all its results, and is not sampled 
 import math
 import tomllib
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from league.config.durations import seconds
 from league.config.sections import Rating
 from league.queries.query import Open
+from league.scheduling.training_progress import best as best_rated
+from league.scheduling.training_progress import rated
+from league.state.league_state import LeagueState
 from storage.database.rows import strings_in
-from storage.records import Snapshot
+from storage.errors import StorageError
+from storage.records import League, Snapshot
 
 
 def first_of_each_part(history: Sequence[Snapshot], per_doubling: int) -> set[str]:
@@ -28,16 +33,19 @@ def first_of_each_part(history: Sequence[Snapshot], per_doubling: int) -> set[st
     return set(found.values())
 
 
-def may_go(opened: Open, per_doubling: int) -> set[str]:
+def may_go(opened: Open, per_doubling: int, leagues: Sequence[League] | None = None) -> set[str]:
     """Return the names of the snapshots whose bytes such a history does not need.
 
-    The history keeps those of `spared`, snapshots that a person has named (in a gate, an exhibition or an attack, or in
-    the league's settings), the first after each milestone of training, which measures progress, each player's newest,
-    initial and, by every ladder, best one, and all snapshots of no player.
+    The history keeps those of `first_of_each_part`, snapshots that a person has named (in a gate, an exhibition or an
+    attack, in the league's settings, or in those of another league that goes on from it), the first after each
+    milestone of training, which measures progress, each player's newest, initial and, by every ladder, best ones, and
+    all snapshots of no player.
+
+    `leagues` are those of the store, by default read from it. Raises StorageError where settings are damaged.
     """
     store, league = opened.store, opened.league
     snapshots = [s for s in store.snapshots(league, brief=True) if s.thinned is None]
-    kept = set(strings_in(tomllib.loads(store.league(league).config)))
+    kept = _named(league, store.leagues() if leagues is None else leagues)
     for match in store.log(league, ("gate", "exploit", "exhibition")):
         kept.update(match.players)
     best = _best(opened)
@@ -58,11 +66,37 @@ def _first_after(history: Sequence[Snapshot], marks: Iterable[float]) -> set[str
     return {name for names in late for name in names}
 
 
+def _named(league: str, leagues: Iterable[League]) -> set[str]:
+    """Return what a league's settings name, and what those of all leagues name as LEAGUE/SNAPSHOT of this league."""
+    found: set[str] = set()
+    for each in leagues:
+        if each.name != league and f"{league}/" not in each.config:
+            continue  # a store may have a thousand leagues, each of which is asked for the names of all others
+        try:
+            words = set(strings_in(tomllib.loads(each.config)))
+        except (ValueError, RecursionError) as error:
+            raise StorageError(
+                f"The settings of league {each.name!r} are damaged, so nothing is removed: {str(error)[:100]}."
+            ) from None
+        found |= {word.removeprefix(f"{league}/") for word in words if word.startswith(f"{league}/")}
+        found |= words if each.name == league else set()
+    return found
+
+
 def _best(opened: Open) -> set[str]:
-    """Return for each ladder each player's best snapshot, by the lower end of its interval."""
+    """Return for each ladder each player's best snapshots: by the lower end of its rating's interval, and by that of
+    the score by which a league that goes on from the player chooses (`training_progress.handed_on`).
+    """
     found: set[str] = set()
     shown = opened.shown(all=True)
+    state = LeagueState(shown.players, shown.snapshots, jobs=opened.store.jobs(opened.league, "failed"))
+    quota = opened.setting("rating", "episodes_per_pair", otherwise=Rating().episodes_per_pair)
+    against = opened.setting("budget", "against", otherwise=[])
     for ladder in shown.ladders:
+        for player in shown.players:
+            scored = rated(replace(state, ladder=ladder), player.name, quota, against)
+            top = best_rated([each for each in scored if each.snapshot.thinned is None])
+            found |= {top.snapshot.name} if top is not None else set()
         best = dict[str, tuple[float, str]]()
         for s in shown.snapshots:
             if s.player is None or s.thinned is not None:

@@ -103,14 +103,15 @@ def _rows(removable: Removable) -> list[dict[str, Any]]:
 
 
 def _policy(store: Store, options: ThinOptions, age: float) -> RetentionPolicy:
-    leagues = [league.name for league in store.leagues()]
+    every = store.leagues()
+    leagues = [league.name for league in every]
     keep = {
         name: options.checkpoints
         or max(1, Open(store, name).setting("storage", "checkpoints", otherwise=Storage().checkpoints))
         for name in leagues
     }
     span = None if options.recordings_for is None else seconds(options.recordings_for)
-    chosen = {} if options.snapshots is None else {n: may_go(Open(store, n), options.snapshots) for n in leagues}
+    chosen = {} if options.snapshots is None else {n: may_go(Open(store, n), options.snapshots, every) for n in leagues}
     return RetentionPolicy(age, keep, options.recordings, span, chosen)
 
 

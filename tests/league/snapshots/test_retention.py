@@ -8,7 +8,9 @@ import pytest
 
 from league.queries.query import Open
 from league.snapshots import retention
+from league.snapshots.transfer.predecessors import best_of
 from storage.maintenance.verify import verify
+from storage.records import League
 from storage.store import Store
 from tests.league.leagues import BLUE, RED, filled, finish, match, snapshot
 from tests.league.packs import assert_rated_alike, ran, refused
@@ -62,6 +64,56 @@ def test_who_is_needed_stays(folder):
         may = retention.may_go(Open(store, "cup"), 1)
     assert may.isdisjoint({"blue@0", "red@0", "blue@16", "red@16", "blue@13", "red@11", "pusher"})
     assert {"blue@3", "blue@5", "red@13", "red@15"} <= may
+
+
+def allowed(folder: Path) -> set[str]:
+    with Store.open(folder) as store:
+        return retention.may_go(Open(store, "cup"), 1)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        'after = ["cup/blue@7"]', '[[players]]\nteam = "blue"\nafter = ["duel", "cup/blue@7"]',
+        '[[stages]]\nname = "duel"\nafter = ["cup/blue@7"]', '[learner.skill]\npolicy = "cup/blue@7"',
+    ],
+)  # fmt: skip
+def test_what_another_league_of_the_store_goes_on_from_stays(folder, config):
+    before = allowed(folder)
+    assert {"blue@7", "red@7"} <= before
+    with Store.open(folder) as store:
+        store.create_league(League("cup-2", 'after = ["cup-3/red@7"]'))
+        store.create_league(League("later", config))
+    assert allowed(folder) == before - {"blue@7"}
+
+
+def test_what_the_league_itself_names_with_its_own_name_stays(folder):
+    with Store.open(folder) as store:
+        store.set_config("cup", 'after = ["cup/blue@7"]')
+    assert "blue@7" not in allowed(folder)
+
+
+def test_what_is_handed_on_stays_although_another_has_a_higher_rating(folder):
+    """blue@5 is the best against blue@0 and weak against red@16; by Elo blue@11 is better."""
+    log = [match(f"blue@{i}", "blue@0", 120, 40) for i in range(1, 17)]
+    log += [match("blue@5", "blue@0", 152, 8), match("blue@5", "red@16", 20, 140), match("blue@11", "red@16", 130, 30)]
+    with Store.open(folder) as store:
+        finish(store, "scored", matches=log)
+        chosen = best_of(store, "cup", "blue")
+        assert chosen is not None
+        assert chosen[0].name == "blue@5"
+        ratings = Open(store, "cup").shown().ladders[0].ratings
+        assert ratings.elo[ratings.names.index("blue@11")] > ratings.elo[ratings.names.index("blue@5")]
+        may = retention.may_go(Open(store, "cup"), 1)
+        assert may.isdisjoint({"blue@5", "blue@11"})
+        assert {"blue@6", "blue@7"} <= may
+
+
+def test_nothing_is_thinned_where_settings_cannot_be_read(folder, capsys):
+    with Store.open(folder) as store:
+        store.create_league(League("later", 'after = ["cup/blue@7"'))
+    told = refused(capsys, "thin", "--snapshots", "1")
+    assert "The settings of league 'later' are damaged, so nothing is removed" in told
 
 
 def test_thinned_by_the_command_ratings_are_what_they_were_and_a_thinned_one_says_so(folder, capsys, tmp_path):
