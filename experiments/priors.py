@@ -84,7 +84,7 @@ def thinned(store: str, n: int, rng: np.random.Generator) -> Tried:
     """Split a real league's newest ladder: n games of each row are fitted, the others held out."""
     with league.open(store) as opened:
         key = opened.ladders()[0]
-        log = [m for m in opened.store.matches(opened.league, "rating") if m.arena == key]
+        log = [m for m in opened.store.matches(opened.league, ("rating", "request")) if m.arena == key]
         parents = {s.name: s.parent for s in opened.store.snapshots(opened.league) if s.parent}
     kept, held_out = [], []
     for m in log:

@@ -110,11 +110,12 @@ class Snapshot:
     thinned: float | None = None  # when its bytes were removed: its matches count, and it plays no more
 
 
-Purpose = Literal["rating", "gate", "exploit", "exhibition", "training"]
-"""Purpose of a match: the league's own rating, a sequential test, the measurement of a new exploiter, or an
-exhibition. "training" is an episode with exploring policies; `a` and `b` are the newest snapshots before it.
+Purpose = Literal["rating", "request", "gate", "exploit", "exhibition", "training"]
+"""Purpose of a match: the league's own rating, rating that a person requests (`league rate`, cross-play), a sequential
+test, the measurement of a new exploiter, or an exhibition. "training" is an episode with exploring policies; `a` and
+`b` are the newest snapshots before it.
 """
-RATED_PURPOSES: tuple[Purpose, ...] = ("rating", "gate", "exploit")
+RATED_PURPOSES: tuple[Purpose, ...] = ("rating", "request", "gate", "exploit")
 """Purposes whose matches count for ratings: their pairs were chosen before play, and every game of them is kept."""
 
 

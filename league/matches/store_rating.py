@@ -1,8 +1,9 @@
 """Rating of what a store holds, in this process and without training: batches of matches until enough is known.
 
 Each batch has the most informative pairs (`matchmaking/match_selection.py`), as while a league runs; where all pairs
-have met for `rating.episodes_per_pair` episodes, each meets for twice as many, and so on. Batches are filed as the
-league's own.
+have met for `rating.episodes_per_pair` episodes, each meets for twice as many, and so on. Batches are filed with a
+purpose of their own: they count for ratings like the league's, but take nothing of its time for rating, and neither
+their keys nor their seeds are those of batches that the league has queued.
 """
 
 import time
@@ -25,9 +26,17 @@ from storage.records import Snapshot
 class Done(NamedTuple):
     """Rating so far."""
 
-    episodes: int
+    episodes: int  # played and filed
     widest: float | None  # Elo, the widest 95 % interval of a rating; None while a rating is not known
     ladder: Ladder
+    repeated: int = 0  # episodes that were not filed, because another process had filed the same ones meanwhile
+
+    @property
+    def repetition(self) -> str:
+        """A sentence about the episodes that were not filed; empty if there are none."""
+        if not self.repeated:
+            return ""
+        return f"{self.repeated:,} more were not kept: another process played the same ones at the same time."
 
 
 @dataclass(frozen=True)
@@ -55,11 +64,11 @@ def rate(
     opened: Open, config: Config, evaluator: MatchEvaluator, players: list[Snapshot], limits: Limits
 ) -> Iterator[Done]:
     """Play batches among these snapshots and file them; yield the state before the first and after each."""
-    store, began, episodes, state = opened.store, time.monotonic(), 0, None
+    store, began, episodes, repeated, state = opened.store, time.monotonic(), 0, 0, None
     while True:
         state = LeagueState.of(store, opened.league, state, arena=evaluator.key)
         widest = _widest(state.ladder, players)
-        yield Done(episodes, widest, state.ladder)
+        yield Done(episodes, widest, state.ladder, repeated)
         enough = limits.width is not None and widest is not None and widest <= limits.width
         spent = time.monotonic() - began >= limits.seconds
         if enough or spent or (limits.episodes is not None and episodes >= limits.episodes):
@@ -67,12 +76,15 @@ def rate(
         lineups = _lineups(state, players, config.rating.episodes_per_pair, evaluator.pairings)
         if not lineups:
             return
-        job = rating_job(config, state, lineups, None)
+        job = rating_job(config, state, lineups, None, "request")
         task = decode(job)
         assert isinstance(task, RatingMatch)
         matches = evaluator.play(store, task)
-        store.file(job, matches)
-        episodes += sum(m.episodes + m.voids for m in matches)
+        played = sum(m.episodes + m.voids for m in matches)
+        if store.file(job, matches):
+            episodes += played
+        else:
+            repeated += played
 
 
 def _widest(ladder: Ladder, players: list[Snapshot]) -> float | None:

@@ -34,7 +34,7 @@ from league.state.league_state import Batches, LeagueState
 from league.system import batch_sizes
 from matchmaking.match_design import missing_pairs, others_after
 from matchmaking.match_selection import pairings
-from storage.records import Job, Phase, Player, Snapshot
+from storage.records import Job, Phase, Player, Purpose, Snapshot
 
 RATING = "(rating)"  # the group under which the store remembers the rating that follows training
 PATIENCE = 120.0  # seconds of training
@@ -347,13 +347,24 @@ def _episodes(state: LeagueState, lineup: Lineup) -> int:
     return int(payoff.episodes_between(first, second).sum())
 
 
-def _about(state: LeagueState, lineups: Sequence[Lineup]) -> list[list]:
-    """Return the identity of a batch. It includes the episodes played so far, so the same lineups may meet again."""
-    return [[*lineup, _episodes(state, lineup)] for lineup in lineups]
+def _about(state: LeagueState, lineups: Sequence[Lineup], purpose: Purpose = "rating") -> list[list]:
+    """Return the identity of a batch, from which its key and its seed follow.
+
+    It includes the episodes played so far, so the same lineups may meet again. They are counted on the present ladder,
+    and from 0 on another one: where there are several, the ladder is part of the identity, with the last match of the
+    others, because a batch planned for this ladder may have been played on another one (after a change of rules, or by
+    a worker with another engine). The league's own batches on its only ladder have the identities of earlier versions.
+    """
+    about: list[list] = [[*lineup, _episodes(state, lineup)] for lineup in lineups]
+    if state.last_elsewhere:
+        about.append([*(state.arena or ()), state.last_elsewhere])
+    return about if purpose == "rating" else [*about, [purpose]]
 
 
-def rating_job(config: Config, state: LeagueState, lineups: Sequence[Lineup], due: float | None) -> Job:
+def rating_job(
+    config: Config, state: LeagueState, lineups: Sequence[Lineup], due: float | None, purpose: Purpose = "rating"
+) -> Job:
     """Return the job of a batch of these lineups, booked to second `due` of training; None: after training."""
-    about = _about(state, lineups)
+    about = _about(state, lineups, purpose)
     seed = crc32(f"{config.seed}/{about}".encode())
-    return encode(config.league, RatingMatch(tuple(lineups), seed, record=config.rating.record, due=due), about)
+    return encode(config.league, RatingMatch(tuple(lineups), seed, purpose, config.rating.record, due), about)

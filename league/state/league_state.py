@@ -65,6 +65,7 @@ class LeagueState:
     arena: ArenaKey | None = None  # key under which matches are rated now; None before the first match
     ladder: Ladder = NO_MATCHES  # of the rating matches under `arena`
     read: int = 0  # the last rated match that was read, under any key
+    last_elsewhere: int = 0  # the last rated match under any other key than `arena`; 0 if there is none
     played: float = 0.0  # database time at which the last rating match of the league itself was written
     meetings: Sequence[Meeting] = ()  # results of all training games, in the order of their turns
     batches: Batches | None = None  # None before the first batch
@@ -100,7 +101,7 @@ class LeagueState:
         checkpoints, phases = store.newest_checkpoints(league), store.phases(league)
         curves = recent_curves.read(store, league, checkpoints, phases, recent, before.curves)
         return cls(
-            players, snapshots, checkpoints, phases, jobs, *log[:4],
+            players, snapshots, checkpoints, phases, jobs, *log[:5],
             read_games(store, league, before.training_games),
             log.batches, curves, revision, voids_found(store, league, [each.voids for each in curves.values()]),
         )  # fmt: skip
@@ -253,6 +254,7 @@ class _Log(NamedTuple):
     arena: ArenaKey | None
     ladder: Ladder
     read: int
+    last_elsewhere: int
     played: float
     batches: Batches | None
 
@@ -265,7 +267,8 @@ class _Log(NamedTuple):
             return cls._summed(store, league, arena, pool)
         ladder = before.ladder.extended([m for m in new if m.arena == key], pool)
         played = max((m.created for m in new if m.purpose == "rating"), default=before.played)
-        return cls(key, ladder, new[-1].id if new else before.read, played, _batches(before.batches, new))
+        last = max((m.id for m in new if m.arena != key), default=before.last_elsewhere)
+        return cls(key, ladder, new[-1].id if new else before.read, last, played, _batches(before.batches, new))
 
     @classmethod
     def _summed(cls, store: Store, league: str, arena: ArenaKey | None, pool: Pool) -> "_Log":
@@ -273,4 +276,5 @@ class _Log(NamedTuple):
         key, read = arena or next(iter(totals), None), max((log.newest for log in totals.values()), default=0)
         pace = store.pace(league, RATED_PURPOSES, until=read)
         batches = None if pace.due is None else Batches(pace.due, pace.seconds or 0.0)
-        return cls(key, Ladder(pool, totals.get(key, ()) if key else ()), read, pace.played, batches)
+        last = max((log.newest for other, log in totals.items() if other != key), default=0)
+        return cls(key, Ladder(pool, totals.get(key, ()) if key else ()), read, last, pace.played, batches)

@@ -133,24 +133,31 @@ def _ladder(options: CompareOptions, found: Sequence[Member], store: Store) -> t
         if options.play:
             raise
         return [], []
-    episodes = 0
+    episodes, repeated = 0, ""
     if options.play:
         with report_kernels(), Progress("cross-play") as progress:
             for done in crossed.play(seconds(options.budget), options.episodes, options.width):
-                episodes = done.episodes
+                episodes, repeated = done.episodes, done.repetition
                 widest = "" if done.widest is None else f"widest interval {done.widest:.0f} Elo, "
                 progress.tell(f"{widest}episodes", episodes, options.episodes)
-    ladder = crossed.ladder()
+    ladder, own = crossed.ladder(), crossed.arena.config_hash
+    uncounted = [
+        f"Not on the ladder: {number:,} episodes under {'other rules and ' * (key.config_hash != own)}engine"
+        f" {key.engine}, because scores in them cannot be compared with those under engine {crossed.arena.engine.name}."
+        for key, number in crossed.uncounted.items()
+    ]
     if ladder.arena is None:
-        return [], []
+        return [], [*map(wrapped, uncounted)]
     notes = [
         f"{episodes:,} episodes were played now in {crossed.arena.name}; all are kept, and show who beats whom:"
         f"\n  league payoff --store {display_location(options.store)} --league {crossed.league}"
     ]
+    notes += [repeated] if repeated else []
     if others := crossed.elsewhere:
         notes.append(f"These learnt under other rules or rewards than those of the matches: {', '.join(others)}.")
     if crossed.left_out:
         notes.append(f"Without a snapshot to play: {', '.join(crossed.left_out)}.")
+    notes += uncounted
     return crossed.rows(ladder), [notes[0], *map(wrapped, notes[1:])]
 
 

@@ -44,6 +44,8 @@ def rate_store(opened: Open, among: Sequence[str], budget: str, episodes: int | 
     shown = [s for s in store.snapshots(league, brief=True) if not among or s.name in {each.name for each in snapshots}]
     print(ratings_table(done.ladder, shown, players, opened.void_limit()))
     print(f"\nPlayed {done.episodes:,} episodes{'' if done.ladder.one_team else f'; {least_sure(done, snapshots)}'}.")
+    if done.repetition:
+        print(done.repetition)
     return 0
 
 

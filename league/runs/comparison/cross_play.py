@@ -6,6 +6,7 @@ again, and every command can show that league. Elo counts from the mean of the s
 to untrained policies would widen every interval.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ from league.queries.ratings.rating_rows import Row, rating_rows
 from league.runs.comparison.cells import CROSS_PLAY, Member, holds_copies
 from league.system.arena_build import build, rating_batch
 from matchmaking.ratings.ladder import Ladder, Pool
-from storage.records import RATED_PURPOSES, League, Player, Snapshot
+from storage.records import RATED_PURPOSES, ArenaKey, League, Match, Player, RankedMatch, Snapshot
 from storage.store import Store
 
 DIGITS = 8  # of the digest of the arena's settings
@@ -69,12 +70,28 @@ class CrossPlay:
         yield from rate(opened, config, evaluator, copies, Limits(seconds, episodes, width))
 
     def ladder(self) -> Ladder:
-        """Return the ladder of the compared snapshots, from all matches that they have played."""
+        """Return the ladder of the compared snapshots, from all matches that they have played in this arena."""
+        pool = Pool.of([entry.copy for entry in self.entries], [entry.player for entry in self.entries])
+        return Ladder(pool, [m for m in self._log() if m.arena == self._key])
+
+    @property
+    def uncounted(self) -> dict[ArenaKey, int]:
+        """Episodes of the compared snapshots under other keys, whose scores are not comparable with the ladder's."""
+        found = Counter[ArenaKey]()
+        for match in self._log():
+            found[match.arena] += match.episodes
+        return {key: number for key, number in found.items() if key != self._key}
+
+    @property
+    def _key(self) -> ArenaKey:
+        return ArenaKey(self.arena.name, self.arena.config_hash, self.arena.engine.name)
+
+    def _log(self) -> list[Match | RankedMatch]:
+        """Return the matches of the compared snapshots, under all keys."""
         names = {entry.copy.name for entry in self.entries}
         there = self.league in {league.name for league in self._store.leagues()}
         log = self._store.log(self.league, RATED_PURPOSES) if there else []
-        pool = Pool.of([entry.copy for entry in self.entries], [entry.player for entry in self.entries])
-        return Ladder(pool, [m for m in log if names.issuperset(m.players)])
+        return [match for match in log if names.issuperset(match.players)]
 
     def rows(self, ladder: Ladder) -> list[Row]:
         """Return the rows of the ladder, best first, each with its league and the role that its player has there."""

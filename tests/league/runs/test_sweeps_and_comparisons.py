@@ -19,6 +19,7 @@ from league.runs.sweeps.sweep_work import SweepWork
 from storage.store import Store
 from tests.league.conftest import said
 from tests.markup import Markup
+from tests.storage.sound import change
 
 TEXT = """
 arena.name = "rock-paper-scissors"
@@ -129,6 +130,29 @@ def test_cells_are_compared_on_one_ladder_whose_matches_are_kept(inside, capsys)
     again = json.loads(said(capsys, *args, "--no-play")[1])
     assert again["ladder"] == rows
     assert states(capsys) == ["finished", "finished", "waits"]  # nothing of the compared leagues has changed
+
+
+def test_matches_under_another_engine_are_told_and_are_on_no_ladder(inside, tmp_path, monkeypatch, capsys):
+    """As where one host has compared on its GPU and another one compares on its CPU."""
+    shutil.copytree(inside / "league-data", tmp_path / "league-data")
+    monkeypatch.chdir(tmp_path)
+    args = ("compare", "--sweep", "lr", "--format", "json")
+    code, _, err = said(capsys, *args, "--for", "20s", "--episodes", "64", "--into", "alone")
+    assert code == 0, err
+    with Store.open("league-data") as store:
+        played = sum(m.episodes for m in store.matches("alone"))
+    change(tmp_path / "league-data", "UPDATE matches SET engine = 'warp' WHERE league = 'alone' AND id <= 2")
+    with Store.open("league-data") as store:
+        under_warp = sum(m.episodes for m in store.matches("alone") if m.arena.engine == "warp")
+    code, out, err = said(capsys, "compare", "--sweep", "lr", "--no-play", "--into", "alone")
+    assert code == 0, err
+    assert f"Not on the ladder: {under_warp:,} episodes under engine warp" in " ".join(out.split())
+    rows = json.loads(said(capsys, *args, "--no-play", "--into", "alone")[1])["ladder"]
+    assert sum(row["games"] for row in rows) == 2 * (played - under_warp)
+    change(tmp_path / "league-data", "UPDATE matches SET engine = 'warp' WHERE league = 'alone'")
+    code, out, err = said(capsys, "compare", "--sweep", "lr", "--no-play", "--into", "alone")
+    assert code == 0, err
+    assert f"{played:,} episodes under engine warp" in " ".join(out.split())
 
 
 def test_a_curve_that_ends_for_want_of_ratings_says_so(inside):

@@ -6,14 +6,16 @@ from itertools import product
 import pytest
 
 from league.config.experiment import Config
-from league.config.sections import Workers
+from league.config.sections import Budget, Workers
 from league.scheduling import match_scheduler, turn_scheduler
 from league.scheduling.training_progress import measure
-from league.state.jobs import decode
+from league.state.jobs import RatingMatch, decode
 from league.state.league_state import LeagueState
 from matchmaking.opponents import Opponents
 from storage.store import Store
 from tests.league.conftest import BODILESS, call
+from tests.league.leagues import BLUE, RED, WARP, C, filled, snapshot
+from tests.league.leagues import match as played
 from tests.league.plans import checkpoints, league_state, match, pairs_of, snapshots, training, turns, with_matches
 
 WAITING = Opponents("nash", await_matches=True)
@@ -101,3 +103,27 @@ def test_a_league_waits_for_its_table_and_learns_on(tmp_path):
         met = {frozenset((m.a, str(m.b))) for m in store.matches(made.name, "rating")}
     assert len(before["blue"]) > 1
     assert {frozenset(pair) for pair in product(*before.values())} == met
+
+
+def test_after_a_change_of_rules_or_engine_the_table_is_played_again(tmp_path):
+    """Batches that the first ladder has had are planned again for the second, and for the first once more."""
+    config = replace(waiting(), league="cup", budget=Budget("9h"))
+    config = replace(config, rating=replace(config.rating, pairings=1))
+    with filled(tmp_path) as store:
+        put = store.blobs.put
+        for newest, arena in ((4, C), (8, WARP), (16, C), (32, WARP)):
+            if newest > 4:
+                store.add_snapshots([snapshot(p, newest, put(f"{p.name}@{newest}".encode())) for p in (BLUE, RED)])
+            for _ in range(100):
+                jobs = next_matches(config, LeagueState.of(store, "cup")).jobs
+                if not (jobs and turn_scheduler.next_turns(config, LeagueState.of(store, "cup")).awaited):
+                    break
+                assert store.queue(jobs) == len(jobs)
+                while claimed := store.claim("cup", ["match"], "somewhere:1:0", 60):
+                    task = decode(claimed[1])
+                    assert isinstance(task, RatingMatch)
+                    filed = [played(str(a), b, 64, 64, arena=arena) for a, b in task.lineups]
+                    store.finish(claimed[0], matches=filed)
+            state = LeagueState.of(store, "cup")
+            assert state.arena == arena
+            assert turns(config, state)
