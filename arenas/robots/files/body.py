@@ -4,6 +4,8 @@ Nothing but numbers is taken over, so that recordings need no mesh, and the same
 of the base is turned so that it is upright in the standing pose.
 """
 
+import difflib
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -222,15 +224,23 @@ def _first(values: Any) -> float:
 
 
 def check_names(source: Source, robot: RobotFile) -> None:
-    """Raise ArenaError for a robot file whose names are not in the model."""
+    """Raise ArenaError, one line with the robot file, its key and the possible names, for names not in the model."""
     bodies, joints = [source.body(i) for i in source.bodies], [source.joint(j) for j in source.joints]
-    for what, names, known in (
-        ("base", [robot.base], bodies[:1]), ("foot", robot.feet, bodies), ("joint", robot.drives, joints),
-        ("passive joint", robot.passive, joints),
+    where = robot.file or f"robot {robot.name}"
+    for key, what, names, known in (
+        ("base", "body", [robot.base], bodies[:1]), ("feet", "body", robot.feet, bodies),
+        ("[joints]", "joint", robot.drives, joints), ("passive", "joint", robot.passive, joints),
     ):  # fmt: skip
         for name in names:
             if name not in known:
-                raise ArenaError(f"robot {robot.name}: {source.path} has no {what} {name}; it has {', '.join(known)}")
+                raise ArenaError(f"{where}: {key}: {source.path} has no {what} {name!r}: {_possible(name, known)}")
     for name in joints:
         if name not in robot.drives and name not in robot.passive:
-            raise ArenaError(f"robot {robot.name}: joint {name} of {source.path} has no drive; or list it as passive")
+            raise ArenaError(f"{where}: joint {name} of {source.path} is missing in [joints]; or list it as passive")
+
+
+def _possible(name: str, known: Sequence[str]) -> str:
+    """Return the names that one may have been meant to be: those close to it, and all that there are."""
+    near = difflib.get_close_matches(name, known, 2)
+    hint = f"did you mean {' or '.join(near)}? " if near else ""
+    return f"{hint}(possible: {', '.join(known)})"

@@ -6,7 +6,7 @@
 import json
 import re
 import tomllib
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -53,6 +53,7 @@ class RobotFile:
     contacts: int = 16  # Warp's contact slots for it
     rows: int = 64  # Warp's constraint rows for it
     folder: str = "."  # where `model` is relative to
+    file: str = field(default="", compare=False)  # the robot file that it was read from; empty: from none
 
     @property
     def proprioception_size(self) -> int:
@@ -65,7 +66,7 @@ class RobotFile:
 
         The model decides `planar`, and the arena's scene, which counts too, has `ls_iterations`.
         """
-        apart = {"folder", "model", "contacts", "rows", "width", "name", "planar", "ls_iterations"}
+        apart = {"folder", "file", "model", "contacts", "rows", "width", "name", "planar", "ls_iterations"}
         return json.dumps({key: value for key, value in asdict(self).items() if key not in apart})
 
 
@@ -98,7 +99,7 @@ def read(path: Path) -> RobotFile:
     if not isinstance(joints, dict) or not joints:
         raise ArenaError(f"{path}: no [joints]: a robot needs at least one; `league robot FILE` writes them")
     drives = {name: _record(Drive, each, f"{path}: joint {name}") for name, each in joints.items()}
-    known = {"drives": drives, "folder": str(path.parent)}
+    known = {"drives": drives, "folder": str(path.parent), "file": str(path)}
     found: RobotFile = _record(RobotFile, {**_folded(table), **known}, str(path))
     _check(found, path)
     return found

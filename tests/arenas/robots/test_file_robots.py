@@ -1,5 +1,6 @@
 """Robots from files: what is read, built and refused, and that arenas know their content."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -170,6 +171,25 @@ def test_a_robot_file_is_read_back_and_an_edited_pose_is_fitted(write):
     assert not placed.ok
     assert "--fit" in placed.detail
     assert fitted(source_of(wrong), wrong).height == pytest.approx(2 * 0.2 * np.cos(0.5) + 0.03, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ("fl_hip = {", "fl_hipp = {", r"\[joints\]: .*bot\.xml has no joint 'fl_hipp': did you mean fl_hip.*possible: .*hr_knee"),
+        ('base = "base"', 'base = "bas"', r"base: .*bot\.xml has no body 'bas': did you mean base\? \(possible: base\)$"),
+        ("passive = []", 'passive = ["tail"]', r"passive: .*bot\.xml has no joint 'tail': \(possible: fl_hip, "),
+        ("feet = [", 'feet = ["paw", ', r"feet: .*bot\.xml has no body 'paw': "),
+    ],
+)  # fmt: skip
+def test_a_name_that_the_model_lacks_is_told_with_the_robot_file_and_the_key(write, right, wrong, said):
+    model = write(mjcf(POSITION))
+    toml = model.with_suffix(".toml")
+    text = files.written(derive(model)).replace('"fl_hip" = {', "fl_hip = {")
+    assert text.count(right) == 1
+    toml.write_text(text.replace(right, wrong))
+    with pytest.raises(ArenaError, match=rf"^{re.escape(str(toml))}: {said}"):
+        source_of(files.read(toml))
 
 
 @pytest.mark.parametrize(
