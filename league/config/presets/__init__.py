@@ -47,12 +47,13 @@ PRESETS: Mapping[str, Callable[[], Config]] = {
 
 
 def preset(name: str) -> Config:
-    """Return a preset by name. Raises ConfigError, one line with all presets, for an unknown name."""
+    """Return a preset by name. Raises ConfigError, one line with the nearest name or else all, for an unknown name."""
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, 1)
-        hint = f": did you mean {near[0]}?" if near else ""
-        raise ConfigError(
-            ("preset",),
-            f"unknown preset {name!r}{hint} (presets: {', '.join(PRESETS)}; `league presets` tells what each is)",
-        )
+        if near:
+            raise ConfigError(
+                ("preset",), f"unknown preset {name!r}: did you mean {near[0]}? (`league presets` lists all)"
+            )
+        known = f"presets: {', '.join(PRESETS)}; `league presets` tells what each is"
+        raise ConfigError(("preset",), f"unknown preset {name!r} ({known})")
     return PRESETS[name]()

@@ -159,9 +159,13 @@ def test_players_that_contradict_each_other_are_refused(text, says):
     assert says in str(caught.value)
 
 
-def test_an_unknown_preset_names_the_nearest():
-    with pytest.raises(ConfigError, match="did you mean quickstart"):
+def test_an_unknown_preset_names_the_nearest_alone_and_all_only_without_one():
+    with pytest.raises(ConfigError) as near:
         presets.preset("quikstart")
+    assert str(near.value).endswith("'quikstart': did you mean quickstart? (`league presets` lists all)")
+    with pytest.raises(ConfigError) as far:
+        presets.preset("nonsense")
+    assert all(name in str(far.value) for name in presets.PRESETS)
 
 
 def test_a_rule_that_is_taken_away_from_an_arena_stays_away():
