@@ -20,17 +20,26 @@ from matchmaking.ratings.scores import Score
 from storage.records import Phase, Snapshot, Worker
 
 NARROW = 80  # columns if the output is not a terminal
+BETWEEN = " · "  # parts of a line
+CLOCKS = (" left", " so far")  # ends of the parts that change although nothing happened
+LONGEST_PAUSE = 60.0  # seconds without a line in a file, so that its reader knows that the league still runs
 CLEAR = "\r\033[K"  # returns to the beginning of a terminal's line and clears it
 
 
 @dataclass
 class Ticker:
-    """Printer of a status line every few seconds; on a terminal it rewrites one line, elsewhere it adds lines."""
+    """Printer of a status line every few seconds; on a terminal it rewrites one line, elsewhere it adds lines.
+
+    A line that says nothing new but the time is added again only after pauses that grow to a minute.
+    """
 
     config: Config
     every: float = 5.0
     began: float = field(default_factory=time.monotonic)
+    _looked: float = 0.0
     _printed: float = 0.0
+    _pause: float = 0.0  # seconds until a line that says nothing new is printed again
+    _said: tuple[str, ...] = ()  # the line printed last, without its clocks
     _warned: list[str] = field(default_factory=list)  # warnings so far: kinds of void episodes, and pauses
     _rating_since: dict[int, float] = field(
         default_factory=dict
@@ -40,15 +49,26 @@ class Ticker:
         """Print the league's status, if it is time. `stage` is training, rating, ending, done or stopped."""
         live = sys.stdout.isatty()
         now = time.monotonic()
-        if now - self._printed < (1.0 if live else self.every) and stage in ("training", "rating"):
+        if now - self._looked < (1.0 if live else self.every) and stage in ("training", "rating"):
             return
-        self._printed = now
+        self._looked = now
         self._warn(state, live)
         line = self.line(state, stage, workers, shutil.get_terminal_size().columns - 1 if live else NARROW)
         if live:
             print(f"{CLEAR}{line}", end="\n" if stage in ("done", "stopped") else "", flush=True)
-        else:
+        elif self._is_due(line, now) or stage in ("done", "stopped"):
             print(line, flush=True)
+
+    def _is_due(self, line: str, now: float) -> bool:
+        """Return whether a line says something new, or the growing pause since an equal one has passed."""
+        said = tuple(part for part in line.split(BETWEEN) if not part.endswith(CLOCKS))
+        if said != self._said:
+            self._pause = self.every
+        elif now - self._printed < self._pause:
+            return False
+        self._said, self._printed = said, now
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        return True
 
     def _warn(self, state: LeagueState, live: bool) -> None:
         """Warn once of many void episodes in training, of such in rating, and of each pause, with the cause."""
@@ -191,7 +211,7 @@ def _fitting(parts: Sequence[str], width: int) -> str:
     """Return as many parts as fit, in order; a part that does not fit is left out as a whole."""
     line = ""
     for part in parts:
-        longer = f"{line} · {part}" if line else part
+        longer = f"{line}{BETWEEN}{part}" if line else part
         if len(longer) <= width:
             line = longer
     return line

@@ -4,6 +4,7 @@ import os
 import socket
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from league.commands import status_line
@@ -69,6 +70,19 @@ def test_a_narrow_line_leaves_parts_out_and_cuts_none(width):
 def test_before_anything_is_rated_it_tells_how_learning_goes():
     line = ticker().line(league_state(), "training", [MANAGER, worker(**SAID)])
     assert line.startswith("blue+red learn · iteration 640 · 5,242,880 steps · 3,700 steps/s · ")
+
+
+def test_in_a_file_an_equal_line_is_added_only_after_growing_pauses(monkeypatch, capsys):
+    now = 0.0
+    monkeypatch.setattr(status_line.time, "monotonic", lambda: now)
+    tell, printed = ticker(rating_time="10m"), []
+    for now in np.arange(5.0, 605.0, 5.0):
+        games = PLAYED if now < 400 else (*PLAYED, match("blue@64", "red@64", 9, 1))
+        tell(league_state(*games), "rating", [MANAGER])
+        printed += [now] * len(capsys.readouterr().out.splitlines())
+    assert printed == [5, 15, 35, 75, 135, 195, 255, 315, 375, 400, 410, 430, 470, 530, 590]
+    tell(league_state(*games), "done", [MANAGER])
+    assert capsys.readouterr().out.startswith("done")
 
 
 def test_a_budget_in_steps_is_told_as_time():
