@@ -19,6 +19,14 @@ class TermError(ArenaError):
     """A fault in a term of a file; the message names the file and, where there is one, its line."""
 
 
+class RobotError(ArenaError):
+    """A robot file or model that is missing or wrong; the message names the file."""
+
+
+class RosterError(ValueError):
+    """A robot in a roster that is unknown or whose file is wrong; a ValueError, as of any value of a setting."""
+
+
 class EngineError(Exception):
     """An engine that does not exist or cannot run here; the message is one line for the user."""
 
@@ -31,7 +39,11 @@ def describe_error(error: BaseException, files: Collection[Path]) -> str:
     first = next(iter(message.splitlines()), "") or "no message"
     if type(error).__name__ == TRACED_IF:
         first = f"{first.rstrip('.')}; use jnp.where instead of `if` on an array"
-    what = f"it exits with {error.code}" if isinstance(error, SystemExit) else f"{type(error).__name__}: {first}"
+    what = f"{type(error).__name__}: {first}"
+    if isinstance(error, SystemExit):
+        what = f"it exits with {error.code}"
+    elif isinstance(error, (RobotError, RosterError)):
+        what = first  # no fault of the program whose type would help to find it
     place = innermost_line(error, files)
     return f"{what} ({place})" if place else what
 

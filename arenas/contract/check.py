@@ -21,7 +21,7 @@ from arenas.contract.check_run import WORLDS, CheckRun
 from arenas.contract.checks import CHECKS, config_hash, reset_and_step
 from arenas.contract.description_check import check_description
 from arenas.contract.shape_checks import check_shapes
-from arenas.errors import ArenaError, EngineError, describe_error, source_files
+from arenas.errors import ArenaError, EngineError, RobotError, RosterError, describe_error, source_files
 from arenas.physics.registry import resolve_engine
 
 FOUND = "its file can be read and its settings build it"
@@ -48,7 +48,8 @@ def examine(
 
     `change` turns its default settings into those to examine, such as those with terms of functions in files.
 
-    Raises ArenaError or EngineError for names that lead nowhere. An error in the arena's own code is a failed check.
+    Raises ArenaError or EngineError for names that lead nowhere, and for robots and robot files that are missing or
+    wrong. An error in the arena's own code is a failed check.
     """
     resolve_engine(options.get("engine", "auto"))  # an engine that does not exist is no fault of the arena
     own = source_files(name)
@@ -56,6 +57,8 @@ def examine(
         settings = arenas.settings(name)
     except ArenaError:
         raise
+    except RosterError as error:
+        raise ArenaError(f"arena {name}: {describe_error(error, own)}") from error
     except ARENA_FAILURES as error:
         return [CheckResult(FOUND, False, describe_error(error, own))]
     settings = settings if change is None else change(settings)
@@ -64,6 +67,8 @@ def examine(
         arena = settings.build(**options | {"worlds": WORLDS})
     except EngineError:
         raise  # the engine cannot run here, whatever the arena
+    except (RobotError, RosterError) as error:  # a wrong file beside the arena
+        raise ArenaError(f"arena {name}: {describe_error(error, own)}") from error
     except ARENA_FAILURES as error:
         return [CheckResult(FOUND, False, describe_error(error, own))]
     if not isinstance(arena, Arena):

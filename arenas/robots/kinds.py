@@ -8,7 +8,7 @@ import difflib
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from arenas.errors import ArenaError
+from arenas.errors import ArenaError, RosterError
 
 
 class Kind(NamedTuple):
@@ -60,7 +60,7 @@ def roster_name(name: str) -> str:
 def check_roster(
     field: str, kinds: Sequence[str], players: Collection[str] = tuple(KINDS), planar: bool = False
 ) -> None:
-    """Raise ValueError, one line with the field's name, for an empty team, an unknown kind or a bad robot file.
+    """Raise RosterError, one line with the field's name, for an empty team, an unknown kind or a bad robot file.
 
     `players` are the robots in code that can play; robots from files always can, those that move in a plane if
     `planar`.
@@ -68,20 +68,20 @@ def check_roster(
     from arenas.robots.files.catalogue import shipped
 
     if not kinds:
-        raise ValueError(f"{field}: a team needs at least one robot ({_known(players)})")
+        raise RosterError(f"{field}: a team needs at least one robot ({_known(players)})")
     for kind in kinds:
         if kind in players:
             continue
         if not is_file(kind):
             near = difflib.get_close_matches(kind, (*players, *shipped()), 1)
             hint = f"did you mean {near[0]}? " if near else ""
-            raise ValueError(f"{field}: unknown robot {kind!r}: {hint}(robots: {_known(players)})")
+            raise RosterError(f"{field}: unknown robot {kind!r}: {hint}(robots: {_known(players)})")
         try:
             found = kind_of(kind)
         except ArenaError as error:
-            raise ValueError(f"{field}: {error}") from None
+            raise RosterError(f"{field}: {error}") from None
         if found.planar and not planar:
-            raise ValueError(f"{field}: {kind} moves in a plane alone, and plays in arena disturbance only")
+            raise RosterError(f"{field}: {kind} moves in a plane alone, and plays in arena disturbance only")
 
 
 def _known(players: Collection[str]) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import mujoco
 
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 from arenas.robots.files.robot_file import Control, Drive
 from arenas.robots.files.source import Source
 
@@ -21,18 +21,18 @@ DIRECT = tuple(
 def drives_of(source: Source, control: Control | None, passive: tuple[str, ...]) -> dict[str, Drive]:
     """Return the drives by joint, in the file's order of joints; gains and homes that it lacks are 0.
 
-    Without any actuator all joints get position targets; `control` is given to all. Raises ArenaError, one line, for
+    Without any actuator all joints get position targets; `control` is given to all. Raises RobotError, one line, for
     a joint without an actuator that is not `passive`, and for actuators that move no joint.
     """
     model, found = source.model, _found(source)
     names = [source.joint(j) for j in source.joints]
     for name in passive:
         if name not in names:
-            raise ArenaError(f"{source.path}: no joint {name} for --passive; it has {', '.join(names)}")
+            raise RobotError(f"{source.path}: no joint {name} for --passive; it has {', '.join(names)}")
     free = [name for name in names if found and name not in found]
     if unsaid := [name for name in free if name not in passive]:
         told = f"joint {unsaid[0]} has" if len(unsaid) == 1 else f"joints {', '.join(unsaid)} have"
-        raise ArenaError(
+        raise RobotError(
             f"{source.path}: {told} no actuator, while others have: add one, or let them move freely:"
             f" league robot {source.path} --passive {','.join(each for each in names if each in (*free, *passive))}"
         )
@@ -52,7 +52,7 @@ def drives_of(source: Source, control: Control | None, passive: tuple[str, ...])
         rotor = float(model.dof_armature[model.jnt_dofadr[j]])
         drives[name] = replace(drive, low=low, high=high, effort=effort, armature=rotor)
     if not drives:
-        raise ArenaError(f"{source.path}: all of its joints are passive: a robot needs one that it can move")
+        raise RobotError(f"{source.path}: all of its joints are passive: a robot needs one that it can move")
     return drives
 
 
@@ -63,7 +63,7 @@ def _found(source: Source) -> dict[str, Drive]:
         actuator, joint = model.actuator(i).name or str(i), int(model.actuator_trnid[i, 0])
         if model.actuator_trntype[i] not in JOINTS:
             kind = mujoco.mjtTrn(int(model.actuator_trntype[i])).name.removeprefix("mjTRN_").lower()
-            raise ArenaError(f"{source.path}: actuator {actuator} moves a {kind}; only those of joints can be read")
+            raise RobotError(f"{source.path}: actuator {actuator} moves a {kind}; only those of joints can be read")
         if joint not in source.joints:
             continue
         name, drive = source.joint(joint), _drive(source, i, actuator)
@@ -91,20 +91,20 @@ def _drive(source: Source, i: int, actuator: str) -> Drive:
     if plain and model.actuator_biastype[i] == AFFINE and bias[1] == 0 and bias[2] < 0:
         return Drive("velocity", 0.0, most * gain / float(-bias[2]) / gear, kd=float(-bias[2]) * gear**2, effort=force)
     joint = source.joint(int(model.actuator_trnid[i, 0]))
-    raise ArenaError(
+    raise RobotError(
         f"{source.path}: actuator {actuator} of joint {joint} is no motor, position or velocity actuator; write it as"
         " one of these"
     )
 
 
 def _merged(source: Source, joint: str, one: Drive, other: Drive) -> Drive:
-    """Return the drive of two actuators on a joint, which are PD as position and velocity. Raises ArenaError, else."""
+    """Return the drive of two actuators on a joint, which are PD as position and velocity. Raises RobotError, else."""
     by_control = {drive.control: drive for drive in (other, one)}
     if set(by_control) == {"position", "velocity"}:
         position, velocity = by_control["position"], by_control["velocity"]
         return replace(position, kd=position.kd + velocity.kd)
     kinds = f"{one.control} and {other.control}"
-    raise ArenaError(
+    raise RobotError(
         f"{source.path}: joint {joint} has two actuators ({kinds}), which do not add up to one: keep one of them"
         " (position and velocity together are read as PD)"
     )

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 from arenas.robots.files.robot_file import Drive, RobotFile
 from arenas.robots.files.source import MESH, PLANE, Source
 from arenas.robots.robot import Colour
@@ -224,7 +224,7 @@ def _first(values: Any) -> float:
 
 
 def check_names(source: Source, robot: RobotFile) -> None:
-    """Raise ArenaError, one line with the robot file, its key and the possible names, for names not in the model."""
+    """Raise RobotError, one line with the robot file, its key and the possible names, for names not in the model."""
     bodies, joints = [source.body(i) for i in source.bodies], [source.joint(j) for j in source.joints]
     where = robot.file or f"robot {robot.name}"
     for key, what, names, known in (
@@ -233,10 +233,10 @@ def check_names(source: Source, robot: RobotFile) -> None:
     ):  # fmt: skip
         for name in names:
             if name not in known:
-                raise ArenaError(f"{where}: {key}: {source.path} has no {what} {name!r}: {_possible(name, known)}")
+                raise RobotError(f"{where}: {key}: {source.path} has no {what} {name!r}: {_possible(name, known)}")
     for name in joints:
         if name not in robot.drives and name not in robot.passive:
-            raise ArenaError(f"{where}: joint {name} of {source.path} is missing in [joints]; or list it as passive")
+            raise RobotError(f"{where}: joint {name} of {source.path} is missing in [joints]; or list it as passive")
 
 
 def _possible(name: str, known: Sequence[str]) -> str:

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 from arenas.robots.files import robot_file as files
 from arenas.robots.files.robot_file import RobotFile
 
@@ -41,15 +41,15 @@ def shipped() -> tuple[str, ...]:
 def robot_file(name: str) -> RobotFile:
     """Return the settings of a robot: of a file of a user, or of a robot whose model comes in a wheel.
 
-    A model without a robot file beside it gets the settings that `league robot` would write. Raises ArenaError.
+    A model without a robot file beside it gets the settings that `league robot` would write. Raises RobotError.
     """
     if name in shipped():
         return _read(SHIPPED / f"{name}.toml", 0)
     path = Path(name)
     if path.suffix not in SUFFIXES:
-        raise ArenaError(f"{name}: a robot is an MJCF (.xml) or URDF (.urdf) file, a robot file (.toml) or a name")
+        raise RobotError(f"{name}: a robot is an MJCF (.xml) or URDF (.urdf) file, a robot file (.toml) or a name")
     if not path.is_file():
-        raise ArenaError(f"no file {name}: give an MJCF (.xml) or URDF (.urdf) file, or a robot file (.toml)")
+        raise RobotError(f"no file {name}: give an MJCF (.xml) or URDF (.urdf) file, or a robot file (.toml)")
     if path.suffix in MODELS:
         beside = path.with_suffix(".toml")
         if not beside.is_file():
@@ -59,12 +59,12 @@ def robot_file(name: str) -> RobotFile:
 
 
 def model_path(robot: RobotFile) -> Path:
-    """Return the file of a robot's model. Raises ArenaError, one line with the command that brings it, if missing."""
+    """Return the file of a robot's model. Raises RobotError, one line with the command that brings it, if missing."""
     package, colon, inside = robot.model.partition(":")
     if not colon or package not in WHEELS:
         path = Path(robot.folder) / robot.model
         if not path.is_file():
-            raise ArenaError(f"robot {robot.name}: there is no model {path}; set model in its robot file")
+            raise RobotError(f"robot {robot.name}: there is no model {path}; set model in its robot file")
         return path
     spec = importlib.util.find_spec(package)
     found = [Path(folder) / inside for folder in (spec.submodule_search_locations or () if spec else ())]
@@ -72,7 +72,7 @@ def model_path(robot: RobotFile) -> Path:
         if path.is_file():
             return path
     wheel = WHEELS[package]
-    raise ArenaError(f"robot {robot.name}: its model comes with the package {package}: {wheel.install}")
+    raise RobotError(f"robot {robot.name}: its model comes with the package {package}: {wheel.install}")
 
 
 @cache

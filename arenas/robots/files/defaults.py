@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 from arenas.robots.files.actuators import drives_of
 from arenas.robots.files.body import colliding, home_pose
 from arenas.robots.files.extents import corners, lowest
@@ -37,7 +37,7 @@ NEAR_GROUND = 0.05  # share of the height: bodies so near to the ground are feet
 def derive(
     path: Path, *, control: Control | None = None, free_base: bool = False, passive: tuple[str, ...] = ()
 ) -> RobotFile:
-    """Return the settings of a model. `control` replaces that of all its actuators. Raises ArenaError, one line."""
+    """Return the settings of a model. `control` replaces that of all its actuators. Raises RobotError, one line."""
     source = read_source(path, free_base)
     drives = drives_of(source, control, passive)
     home = home_of(source)
@@ -86,13 +86,13 @@ def standing(source: Source, drives: dict[str, Drive]) -> tuple[float, float, tu
     """Return height and width in m, and the feet, of the robot in its standing pose."""
     data, touching = home_pose(source, drives), colliding(source)
     if not touching:
-        raise ArenaError(f"{source.path}: no geom of body {source.body(source.base)} or below it touches anything")
+        raise RobotError(f"{source.path}: no geom of body {source.body(source.base)} or below it touches anything")
     low = {g: lowest(data, g) for g in touching}
     height = -min(low.values())
     points = np.concatenate([corners(data, g) for g in touching])
     width = 2 * float(np.linalg.norm(points[:, :2], axis=1).max())
     if height <= LEAST_HEIGHT * width:
-        raise ArenaError(
+        raise RobotError(
             f"{source.path}: the origin of base {source.body(source.base)} is not above the lowest of its geoms, so it"
             " would count as fallen: put it inside the body; in a URDF leave out base_footprint and its joint"
         )

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from arenas.description import Part
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 from arenas.robots.files.body import build_body, check_names
 from arenas.robots.files.catalogue import model_path, robot_file
 from arenas.robots.files.driving import wheel_drive
@@ -56,7 +56,7 @@ class Gains:
 
 
 def file_robot(name: str) -> Robot:
-    """Make the robot of a file, or one whose model comes in a wheel. Raises ArenaError, one line.
+    """Make the robot of a file, or one whose model comes in a wheel. Raises RobotError, one line.
 
     It knows the scripts `idle`, which holds the standing pose where targets are positions, and `random`; where it has
     wheels, games have scripts that drive it.
@@ -65,7 +65,7 @@ def file_robot(name: str) -> Robot:
 
 
 def robot_of(settings: RobotFile) -> Robot:
-    """Make the robot of these settings. Raises ArenaError, one line, if its model is missing or does not fit them."""
+    """Make the robot of these settings. Raises RobotError, one line, if its model is missing or does not fit them."""
     source = source_of(settings)
     gains, count = Gains.of(settings), len(settings.drives)
     names = ", ".join(settings.drives)
@@ -99,13 +99,13 @@ def robot_of(settings: RobotFile) -> Robot:
 
 
 def source_of(settings: RobotFile) -> Source:
-    """Read the model of a robot file, again only after it changed. Raises ArenaError."""
+    """Read the model of a robot file, again only after it changed. Raises RobotError."""
     path = model_path(settings)
     source = _read(str(path), path.stat().st_mtime_ns, settings.free_base)
     check_names(source, settings)
     if source.planar != settings.planar:
         moves = "in a plane alone" if source.planar else "freely"
-        raise ArenaError(
+        raise RobotError(
             f"robot {settings.name}: base {settings.base} moves {moves}: set planar = {source.planar!s:.5}"
         )
     return source

@@ -10,7 +10,7 @@ from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 
 Control = Literal["position", "velocity", "torque"]
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # of a kind of robot: part of rosters
@@ -73,13 +73,13 @@ class RobotFile:
 def torque_driven(robot: RobotFile) -> RobotFile:
     """Return the robot with torques for actions, shares of each drive's largest torque; another kind, NAME-torque.
 
-    A robot that has only such drives is returned as it is. Raises ArenaError, one line, for a drive without a limit.
+    A robot that has only such drives is returned as it is. Raises RobotError, one line, for a drive without a limit.
     """
     if all(drive.control == "torque" for drive in robot.drives.values()):
         return robot
     for name, drive in robot.drives.items():
         if not drive.effort:
-            raise ArenaError(f"robot {robot.name}: joint {name} has no largest torque; set effort in its robot file")
+            raise RobotError(f"robot {robot.name}: joint {name} has no largest torque; set effort in its robot file")
     drives = {
         name: replace(drive, control="torque", scale=drive.effort, kp=0.0, kd=0.0)
         for name, drive in robot.drives.items()
@@ -88,16 +88,16 @@ def torque_driven(robot: RobotFile) -> RobotFile:
 
 
 def read(path: Path) -> RobotFile:
-    """Read a robot file. Raises ArenaError, one line that names the file and the setting."""
+    """Read a robot file. Raises RobotError, one line that names the file and the setting."""
     try:
         table = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise ArenaError(f"cannot read {path}: {error.strerror}") from None
+        raise RobotError(f"cannot read {path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ArenaError(f"{path}: not a robot file: {error}") from None
+        raise RobotError(f"{path}: not a robot file: {error}") from None
     joints = table.pop("joints", None)
     if not isinstance(joints, dict) or not joints:
-        raise ArenaError(f"{path}: no [joints]: a robot needs at least one; `league robot FILE` writes them")
+        raise RobotError(f"{path}: no [joints]: a robot needs at least one; `league robot FILE` writes them")
     drives = {name: _record(Drive, each, f"{path}: joint {name}") for name, each in joints.items()}
     known = {"drives": drives, "folder": str(path.parent), "file": str(path)}
     found: RobotFile = _record(RobotFile, {**_folded(table), **known}, str(path))
@@ -147,14 +147,14 @@ def _folded(table: dict[str, Any]) -> dict[str, Any]:
 def _record(cls: Any, table: Any, where: str) -> Any:
     """Build a dataclass from plain values, each checked by the type of its field."""
     if not isinstance(table, dict):
-        raise ArenaError(f'{where}: expected a table such as {{ control = "position", home = 0.0, scale = 0.5 }}')
+        raise RobotError(f'{where}: expected a table such as {{ control = "position", home = 0.0, scale = 0.5 }}')
     known = {field.name: field for field in fields(cls)}
     for key in table:
         if key not in known:
-            raise ArenaError(f"{where}: unknown setting {key}; known are {', '.join(known)}")
+            raise RobotError(f"{where}: unknown setting {key}; known are {', '.join(known)}")
     missing = [name for name, field in known.items() if name not in table and field.default is MISSING]
     if missing:
-        raise ArenaError(f"{where}: {missing[0]} is missing")
+        raise RobotError(f"{where}: {missing[0]} is missing")
     return cls(**{key: _value(known[key].type, value, f"{where}: {key}") for key, value in table.items()})
 
 
@@ -173,23 +173,23 @@ def _value(kind: Any, value: Any, where: str) -> Any:
         return value
     expected = {float: "a number", int: "a whole number from 1", bool: "true or false", str: "text in quotes"}
     names = f"one of {', '.join(get_args(Control))}" if kind is Control else "a list of names"
-    raise ArenaError(f"{where} = {value!r}: expected {expected.get(kind, names)}")
+    raise RobotError(f"{where} = {value!r}: expected {expected.get(kind, names)}")
 
 
 def _check(robot: RobotFile, path: Path) -> None:
     if not NAME.fullmatch(robot.name):
-        raise ArenaError(f"{path}: name = {robot.name!r}: use a letter, then letters, digits, - and _")
+        raise RobotError(f"{path}: name = {robot.name!r}: use a letter, then letters, digits, - and _")
     for name, drive in robot.drives.items():
         if drive.low > drive.high:
-            raise ArenaError(f"{path}: joint {name}: low = {drive.low:g} is above high = {drive.high:g}")
+            raise RobotError(f"{path}: joint {name}: low = {drive.low:g} is above high = {drive.high:g}")
         if min(drive.kp, drive.kd, drive.effort, drive.armature) < 0:
-            raise ArenaError(f"{path}: joint {name}: kp, kd, effort and armature must be at least 0")
+            raise RobotError(f"{path}: joint {name}: kp, kd, effort and armature must be at least 0")
         if (drive.control == "position" and drive.kp == 0) or (drive.control == "velocity" and drive.kd == 0):
             gain = "kp" if drive.control == "position" else "kd"
-            raise ArenaError(f"{path}: joint {name}: control = {drive.control!r} needs {gain} above 0")
+            raise RobotError(f"{path}: joint {name}: control = {drive.control!r} needs {gain} above 0")
     for key in ("height", "width"):
         if getattr(robot, key) <= 0:
-            raise ArenaError(f"{path}: {key} = {getattr(robot, key):g}: must be above 0 m")
+            raise RobotError(f"{path}: {key} = {getattr(robot, key):g}: must be above 0 m")
 
 
 def _inline(drive: Drive) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from arenas.errors import ArenaError
+from arenas.errors import RobotError
 
 ELONGATED = 1.6  # a mesh so much longer than wide is fitted by a capsule, else by a box
 MESH, FREE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtJoint.mjJNT_FREE)
@@ -52,13 +52,13 @@ class Source:
 def read_source(path: Path, free_base: bool = False) -> Source:
     """Read a file. With `free_base` a base that is fixed to the world becomes free, as that of a URDF always does.
 
-    Raises ArenaError, one line that names the file and the part, for a file that holds no single robot.
+    Raises RobotError, one line that names the file and the part, for a file that holds no single robot.
     """
     _check_numbers(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, OSError) as error:
-        raise ArenaError(f"{path}: {_flat(error)}") from None
+        raise RobotError(f"{path}: {_flat(error)}") from None
     spec.compiler.discardvisual = False
     urdf = path.suffix == ".urdf" or "<robot" in path.read_text("utf-8", errors="replace")[:5000]
     left_out = [
@@ -78,7 +78,7 @@ def read_source(path: Path, free_base: bool = False) -> Source:
 
 
 def _check_numbers(path: Path) -> None:
-    """Raise ArenaError for a NaN in a file; files that it includes are not looked at."""
+    """Raise RobotError for a NaN in a file; files that it includes are not looked at."""
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except (OSError, ElementTree.ParseError):
@@ -88,7 +88,7 @@ def _check_numbers(path: Path) -> None:
         for key, value in part.attrib.items():
             if key in NUMBERS and any(each.lower().lstrip("+-") == "nan" for each in value.split()):
                 where = part.get("name") or f"of {parents[part].get('name', parents[part].tag)}"
-                raise ArenaError(f'{path}: {part.tag} {where} has {key}="{value}": give numbers, or leave {key} out')
+                raise RobotError(f'{path}: {part.tag} {where} has {key}="{value}": give numbers, or leave {key} out')
 
 
 def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> list[str]:
@@ -105,7 +105,7 @@ def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> list[str]:
             continue
         if geom.contype or geom.conaffinity or not geom.parent.explicitinertial:
             needs = "touches" if geom.contype or geom.conaffinity else "gives the mass"
-            raise ArenaError(
+            raise RobotError(
                 f"{path}: body {geom.parent.name} {needs} by the mesh {gone[geom.meshname]}, which is not in {folder}"
             )
         spec.delete(geom)
@@ -122,7 +122,7 @@ def _free(spec: mujoco.MjSpec, path: Path) -> None:
         return
     if len(tops) != 1:
         names = ", ".join(body.name or "unnamed" for body in tops) or "none"
-        raise ArenaError(f"{path}: a robot is one body under the world with all others in it; there are: {names}")
+        raise RobotError(f"{path}: a robot is one body under the world with all others in it; there are: {names}")
     sizes = {FREE: 7, BALL: 4}
     before = sum(sizes.get(int(joint.type), 1) for joint in spec.joints)
     tops[0].add_freejoint(name=ADDED_JOINT)
@@ -157,7 +157,7 @@ def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
             warnings.simplefilter("ignore", UserWarning)
             return spec.compile()
     except ValueError as error:
-        raise ArenaError(f"{path}: {_flat(error)}") from None
+        raise RobotError(f"{path}: {_flat(error)}") from None
 
 
 def _base(model: mujoco.MjModel, path: Path) -> int:
@@ -166,14 +166,14 @@ def _base(model: mujoco.MjModel, path: Path) -> int:
         return free[0]
     if free:
         names = ", ".join(model.body(i).name for i in free)
-        raise ArenaError(f"{path}: {len(free)} bodies have a free joint ({names}): a robot has one")
+        raise RobotError(f"{path}: {len(free)} bodies have a free joint ({names}): a robot has one")
     tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
     planar = [i for i in tops if _moves_in_a_plane(model, i)]
     if len(planar) == 1:
         return planar[0]
     fixed = [model.body(i).name for i in tops]
     held = f"body {', '.join(fixed)}" if fixed else "it has no body, and nothing"
-    raise ArenaError(
+    raise RobotError(
         f"{path}: no body has a free joint: {held} is fixed to the world; add <freejoint/> to it, or --free-base"
     )
 
@@ -187,14 +187,14 @@ def _moves_in_a_plane(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _check(model: mujoco.MjModel, path: Path, joints: list[int]) -> None:
-    """Raise ArenaError for parts that cannot be taken over."""
+    """Raise RobotError for parts that cannot be taken over."""
     if not joints:
-        raise ArenaError(f"{path}: body {model.body(1).name} has no joints that a motor could move")
+        raise RobotError(f"{path}: body {model.body(1).name} has no joints that a motor could move")
     for j in joints:
         if model.jnt_type[j] == BALL:
-            raise ArenaError(f"{path}: joint {model.joint(j).name} is a ball joint; only hinges and slides can be read")
+            raise RobotError(f"{path}: joint {model.joint(j).name} is a ball joint; only hinges and slides can be read")
     if model.neq:
-        raise ArenaError(
+        raise RobotError(
             f"{path}: equality {model.equality(0).name or 0} closes a loop or couples joints; such models cannot be"
             " read yet"
         )

@@ -176,8 +176,10 @@ def test_a_robot_file_is_read_back_and_an_edited_pose_is_fitted(write):
 @pytest.mark.parametrize(
     ("right", "wrong", "said"),
     [
-        ("fl_hip = {", "fl_hipp = {", r"\[joints\]: .*bot\.xml has no joint 'fl_hipp': did you mean fl_hip.*possible: .*hr_knee"),
-        ('base = "base"', 'base = "bas"', r"base: .*bot\.xml has no body 'bas': did you mean base\? \(possible: base\)$"),
+        ("fl_hip = {", "fl_hipp = {",
+         r"\[joints\]: .*bot\.xml has no joint 'fl_hipp': did you mean fl_hip.*possible: .*hr_knee"),
+        ('base = "base"', 'base = "bas"',
+         r"base: .*bot\.xml has no body 'bas': did you mean base\? \(possible: base\)$"),
         ("passive = []", 'passive = ["tail"]', r"passive: .*bot\.xml has no joint 'tail': \(possible: fl_hip, "),
         ("feet = [", 'feet = ["paw", ', r"feet: .*bot\.xml has no body 'paw': "),
     ],

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from arenas.robots.files import robot_file
+from arenas.robots.files.defaults import derive
 from league.commands import cli
 from league.commands.run.background import BackgroundRun
 from league.commands.run.run import _detach
@@ -20,6 +22,7 @@ from league.runtime.preflight import Prepared
 from league.system import exit_codes
 from storage.records import League
 from storage.store import Store
+from tests.arenas.robots.bot import mjcf
 from tests.league.conftest import ENVIRONMENT, ROOT, TINY, call, command, said
 
 OWN = """
@@ -232,6 +235,36 @@ def test_check_fails_an_arena_that_raises_exits_or_is_abstract_with_its_line(bod
     assert (code, err) == (1, "")
     assert out.startswith("FAILED")
     assert says in out
+
+
+ROSTER = """
+from arenas.games.sumo.settings import SumoSettings
+
+ARENAS = (SumoSettings(name="own", blue=("ROBOT",), red=("leatherback",)),)
+"""
+
+
+@pytest.mark.parametrize(
+    ("robot", "says"),
+    [
+        ("gone.toml", "blue: no file gone.toml: give an MJCF (.xml) or URDF (.urdf) file"),
+        ("leatherbak", "blue: unknown robot 'leatherbak': did you mean leatherback?"),
+        ("bent.toml", "bent.toml: [joints]: "),
+        ("lone.toml", "there is no model gone.xml; set model in its robot file"),
+    ],
+)
+def test_check_refuses_an_arena_whose_robot_is_missing_or_wrong_in_one_line(robot, says, folder, capsys):
+    Path("bot.xml").write_text(mjcf())
+    written = robot_file.written(derive(Path("bot.xml")))
+    Path("bent.toml").write_text(written.replace('"hr_knee" =', '"hr_kneee" ='))
+    Path("lone.toml").write_text(written.replace('"bot.xml"', '"gone.xml"'))
+    Path("own.py").write_text(ROSTER.replace("ROBOT", robot))
+    code, out, err = said(capsys, "check", "own.py:own")
+    assert (code, out) == (2, "")
+    assert err.startswith("league: arena own.py:own: ")
+    assert says in err
+    assert "Error" not in err
+    assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize("body", ["import sys\nsys.exit(0)", "1 / 0", "def f(:"])
