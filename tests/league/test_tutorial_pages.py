@@ -1,5 +1,6 @@
-"""The commands and files of docs/hour.md and docs/exploiters.md, in their order, with less training."""
+"""The commands and files of pages with tutorials, such as docs/hour.md, in their order, with less training."""
 
+import os
 import re
 import runpy
 import shlex
@@ -44,9 +45,11 @@ def robot() -> str:
 
 def shorter(words: list[str]) -> list[str]:
     """A command of the page with less to do."""
-    for option in ("--for", "--budget", "--budget.steps", "--budget.rating_time", "--episodes"):
+    for option in ("--for", "--budget", "--steps", "--budget.steps", "--budget.rating_time", "--episodes"):
         if option in words:
             del words[words.index(option) : words.index(option) + 2]
+    if "--games" in words:
+        words[words.index("--games") + 1] = "2"
     return [*words, *SHORTER.get(words[0], ())]
 
 
@@ -116,3 +119,37 @@ def test_every_step_with_exploiters_runs_in_its_order(folder, capsys):
             (folder / name).write_text(given)
     assert out.count("Exploitability of blue@") == 3
     assert "blue-exploiter" in out
+
+
+def follow(page: str, capsys: pytest.CaptureFixture[str], folder: Path) -> str:
+    """Write the files of a page and run its commands in their order; return the output of `league`."""
+    out = ""
+    for name, given in steps(page):
+        match name, given:
+            case "league", list(words):
+                out += league(words, capsys, folder)
+            case "python", [file]:
+                runpy.run_path(file, run_name="__main__")
+            case _, str(text):
+                (folder / name).write_text(text)
+            case _:
+                pytest.fail(f"{page}: no test runs {name}")
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:You are using the legacy TorchScript-based ONNX export")  # as the page says
+@pytest.mark.timeout(900)  # matches of five programs, each compiled anew
+def test_every_step_with_policies_of_ones_own_runs_in_its_order(folder, capsys):
+    out = follow("policies.md", capsys, folder)
+    assert {"strong.onnx", "strong.pt", "strong.safetensors.md", "network.onnx"} <= set(os.listdir(folder))
+    assert re.search(r"sprinter against blue@\d+: \d+ won", out)
+    assert re.search(r"mine against strong: \d+ won", out)
+
+
+@pytest.mark.slow
+def test_every_step_of_a_first_try_of_the_bench_runs_in_its_order(folder, capsys):
+    (folder / "benchmarks").symlink_to(ROOT / "benchmarks")
+    out = follow("bench.md", capsys, folder)
+    assert re.search(r"kuhn\.safetensors\): exact exploitability 0\.\d+", out)
+    assert "Wrote t1-sumo-rovers-v1-first.json." in out
