@@ -138,7 +138,7 @@ def follow(page: str, capsys: pytest.CaptureFixture[str], folder: Path) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:You are using the legacy TorchScript-based ONNX export")  # as the page says
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of torch itself, where it exports with dynamo=False
 @pytest.mark.timeout(900)  # matches of five programs, each compiled anew
 def test_every_step_with_policies_of_ones_own_runs_in_its_order(folder, capsys):
     out = follow("policies.md", capsys, folder)

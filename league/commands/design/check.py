@@ -20,7 +20,7 @@ class CheckOptions:
 def check(args: list[str]) -> int:
     """Examine an arena against the contract; return exit code 0 if the arena keeps the contract, 1 if not.
 
-    A fault of the arena's own code, which may raise, exit or lack a hook, is reported as a failed promise with the line
+    A fault of the arena's own code, which may raise, exit or lack a hook, is reported as a failed check with the line
     in its file. An unknown name is bad input.
     """
     own, given = without_settings(args, "arena")
