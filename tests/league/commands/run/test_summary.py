@@ -75,13 +75,12 @@ def test_before_anything_is_rated_it_tells_how_learning_goes():
 def test_in_a_file_an_equal_line_is_added_only_after_growing_pauses(monkeypatch, capsys):
     now = 0.0
     monkeypatch.setattr(status_line.time, "monotonic", lambda: now)
-    tell, printed = ticker(rating_time="10m"), []
+    tell, printed, later = ticker(rating_time="10m"), [], (*PLAYED, match("blue@64", "red@64", 9, 1))
     for now in np.arange(5.0, 605.0, 5.0):
-        games = PLAYED if now < 400 else (*PLAYED, match("blue@64", "red@64", 9, 1))
-        tell(league_state(*games), "rating", [MANAGER])
+        tell(league_state(*(PLAYED if now < 400 else later)), "rating", [MANAGER])
         printed += [now] * len(capsys.readouterr().out.splitlines())
     assert printed == [5, 15, 35, 75, 135, 195, 255, 315, 375, 400, 410, 430, 470, 530, 590]
-    tell(league_state(*games), "done", [MANAGER])
+    tell(league_state(*later), "done", [MANAGER])
     assert capsys.readouterr().out.startswith("done")
 
 
