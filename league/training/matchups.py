@@ -3,9 +3,12 @@
 In the *present* groups every team plays its present policy. Each learning player also has groups of its own, in which
 opponent sampling has drawn the other teams: past snapshots, with some rules also the present player. Only the learner
 itself learns from the experience of its own groups.
+
+Learners may ask for different shares of past opponents. There are as many present groups as any of them asks for, and
+each learns from the first of them, as many as it asks for itself. So each has its own share.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,15 +24,15 @@ from storage.store import Store
 class Matchups:
     """Groups of worlds of a turn. `worlds` is the requested number, rounded down to whole groups.
 
-    `assigned[group][team]` is the name of a player, or of a snapshot in `past`. The players in `without_shared_worlds`
-    do not learn from the present groups.
+    `assigned[group][team]` is the name of a player, or of a snapshot in `past`. `learns_from` has the number of present
+    groups, counted from the first, from which a player learns; players that are not in it learn from all of these.
     """
 
     def __init__(
         self, turn: TrainingTurn, present: int, worlds: int, store: Store, league: str, arena: Arena,
-        without_shared_worlds: Collection[str] = (),
+        learns_from: Mapping[str, int] | None = None,
     ):  # fmt: skip
-        self.arena, self.turn, self._without_shared_worlds = arena, turn, without_shared_worlds
+        self.arena, self.turn, self._present, self._learns_from = arena, turn, present, learns_from or {}
         self.assigned: list[tuple[str, ...]] = [turn.present] * present
         self._owner: list[str | None] = [None] * present
         for learner in turn.learners:
@@ -120,8 +123,8 @@ class Matchups:
 
     def _groups_of(self, learner: str) -> list[int]:
         """Return the groups from which a player learns."""
-        shared = learner not in self._without_shared_worlds
-        return [k for k, owner in enumerate(self._owner) if owner == learner or (owner is None and shared)]
+        shared = self._learns_from.get(learner, self._present)
+        return [k for k, owner in enumerate(self._owner) if owner == learner or (owner is None and k < shared)]
 
 
 def _known(snapshots: Mapping[str, Snapshot], name: str) -> Snapshot:

@@ -295,13 +295,17 @@ class Trainer:
         }
 
     def _matchups(self, store: Store, turn: TrainingTurn) -> Matchups:
+        """Return the turn's matchups, in which each learner has the share of past opponents that its rule asks for.
+
+        A learner without past opponents has that share in any number of present groups, and learns from all.
+        """
         alone = "" in turn.present
         groups = {n: 0 if alone else self.config.opponents(self.pool.players[n]).split().present for n in turn.learners}
         present = max(groups.values())
         if not any(turn.past.values()):
             present = 1  # without past opponents all groups would be alike
-        without_shared_worlds = [name for name, wanted in groups.items() if not wanted and turn.past.get(name)]
-        return Matchups(turn, present, self.asked, store, self.pool.league, self.arena, without_shared_worlds)
+        learns_from = {name: wanted for name, wanted in groups.items() if turn.past.get(name)}
+        return Matchups(turn, present, self.asked, store, self.pool.league, self.arena, learns_from)
 
     def _prepare(self, matchups: Matchups, turn: TrainingTurn) -> tuple[Worlds, Callable]:
         """Return the worlds and the compiled rollout, prepared here because neither counts as training time.

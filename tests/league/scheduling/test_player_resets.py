@@ -8,6 +8,7 @@ import pytest
 from league.config import experiment as configuration
 from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
+from league.queries.opponents import explain_opponents
 from league.scheduling import turn_scheduler
 from league.scheduling.player_resets import current_generation
 from league.snapshots.codec import thaw
@@ -210,6 +211,20 @@ def test_who_has_a_rule_of_its_own_learns_from_its_own_worlds_alone(arena, tmp_p
         assert share == {"blue": 0, "red": 1}
         assert {m.opponent for m in store.meetings(LEAGUE) if m.player == "red"} == {"blue@0"}
         assert {m.opponent for m in store.meetings(LEAGUE) if m.player == "blue"} <= {"red"}
+
+
+def test_each_player_has_the_share_of_past_opponents_that_is_told(arena, tmp_path):
+    often, seldom = Opponents("uniform", past=0.75, groups=4), Opponents("uniform", past=0.25, groups=4)
+    config = hunting(Role("veteran", often), Role("novice", seldom))
+    blue, red, _ = config.players
+    config = replace(config, players=(replace(blue, role="novice"), replace(red, role="veteran")))
+    with made(tmp_path, arena, config) as store:
+        turns(store, config, arena, 3)
+        state = LeagueState.of(store, LEAGUE)
+        for player in state.players:
+            told = explain_opponents(config.role(player.role), state, player)["share"]
+            assert told == {"blue": 0.25, "red": 0.75}[player.name]
+            assert store.curves(LEAGUE, player.name)[-1].values["past_share"] == told
 
 
 def test_all_players_are_made_before_one_learns_and_deterministic_groups_take_turns(arena, tmp_path):

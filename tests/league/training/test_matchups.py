@@ -32,8 +32,8 @@ def turn(learners=("blue", "red"), past=None, present=("blue", "red")):
     return TrainingTurn("1", 0, learners, present, dict.fromkeys(present, ""), 1, past or {})
 
 
-def matchups(store, arena, turn, present=1, worlds=100):
-    return Matchups(turn, present, worlds, store, "tiny", arena)
+def matchups(store, arena, turn, present=1, worlds=100, learns_from=None):
+    return Matchups(turn, present, worlds, store, "tiny", arena, learns_from)
 
 
 def scripts(made):
@@ -73,6 +73,30 @@ def test_each_learner_has_groups_of_its_own_and_learns_from_no_others(store, are
     np.testing.assert_array_equal(made.worlds_of("blue"), np.arange(0, 64))
     np.testing.assert_array_equal(made.worlds_of("red"), np.r_[0:32, 64:96])
     assert made.past_share("blue") == made.past_share("red") == 0.5
+
+
+def test_who_asks_for_fewer_present_groups_learns_from_the_first_of_them_alone(store, arena):
+    past = {"blue": (("", "idle"),) * 3, "red": (("pusher", ""),)}
+    made = matchups(store, arena, turn(past=past), 3, 70, {"blue": 1, "red": 3})
+    assert (made.groups, made.worlds) == (7, 70)
+    np.testing.assert_array_equal(made.worlds_of("blue"), np.r_[0:10, 30:60])
+    np.testing.assert_array_equal(made.worlds_of("red"), np.r_[0:30, 60:70])
+    assert (made.past_share("blue"), made.past_share("red")) == (0.75, 0.25)
+    assert made.opponents_of("blue", {}) == ["red", "idle", "idle", "idle"]
+    results = np.zeros((7, 2, 4))  # groups, teams, and won, drawn, lost, void
+    results[:, 1, 0] = 10.0 ** np.arange(7)
+    found = made.meetings(Player("tiny", "blue", 0, "main", "puck"), 5, results)
+    assert [(m.opponent, m.wins) for m in found] == [("idle", 111_000), ("red", 1)]
+
+
+def test_who_asks_for_no_present_group_learns_from_its_own_groups_alone(store, arena):
+    past = {"blue": (("", "idle"),), "red": (("pusher", ""),)}
+    made = matchups(store, arena, turn(past=past), 2, 40, {"blue": 0, "red": 2})
+    np.testing.assert_array_equal(made.worlds_of("blue"), np.arange(20, 30))
+    assert made.past_share("blue") == 1
+    whole = matchups(store, arena, turn(past={"red": past["red"]}), 2, 30, {"red": 2})
+    np.testing.assert_array_equal(whole.worlds_of("blue"), np.arange(20))  # without past opponents: from all
+    assert whole.worlds_of("red") == slice(None)
 
 
 def test_a_team_that_does_not_learn_plays_as_it_is(store, arena):
