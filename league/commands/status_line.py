@@ -144,7 +144,7 @@ def _of_this_run(workers: Sequence[Worker]) -> list[Worker]:
 
 
 def _who(training: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Describe the learning players, with their progress and the steps that it took."""
+    """Describe the learning players, with their progress and the steps of their group."""
     if len(training) > 1:
         return [f"{len(training)} groups learn", f"{sum(said['steps'] for said in training):,} steps"]
     (said,) = training

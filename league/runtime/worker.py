@@ -243,10 +243,10 @@ class Worker:
         began = time.monotonic()
         for at in trainer.turn(self.store, turn, self._should_stop):
             began, before = time.monotonic(), began
-            furthest = max(at.counters.values(), key=lambda c: c.iteration)
+            seconds, steps = at.trained
             self.status = {
                 "doing": "training", "group": turn.group, "learners": list(turn.learners),
-                "iteration": furthest.iteration, "steps": furthest.steps, "seconds": furthest.seconds,
+                "iteration": max(c.iteration for c in at.counters.values()), "steps": steps, "seconds": seconds,
                 "steps_per_second": at.steps_per_second, "iteration_seconds": began - before,
             }  # fmt: skip
 

@@ -80,12 +80,16 @@ class LearnerPool:
         learner = self.learners[name]
         return learner.config.gamma if isinstance(learner, HappoLearner) else self.config.learner.gamma
 
-    def spent(self, turn: TrainingTurn) -> bool:
-        """Return whether the group has used up its budget; `LeagueState.spent` computes the same from the store."""
+    def trained(self, turn: TrainingTurn) -> tuple[float, int]:
+        """Return the group's seconds and environment steps of training, as `LeagueState.spent` does for the store."""
         total = sum if self.config.training.schedule.sums_counts else max
         at = [self.counters[name] for name in turn.present if name]
-        seconds = 0.0 if self.config.deterministic else total([c.seconds for c in at])
-        return self.config.budget.spent(seconds, total([c.steps for c in at]))
+        return total([c.seconds for c in at]), total([c.steps for c in at])
+
+    def spent(self, turn: TrainingTurn) -> bool:
+        """Return whether the group has used up its budget."""
+        seconds, steps = self.trained(turn)
+        return self.config.budget.spent(0.0 if self.config.deterministic else seconds, steps)
 
     def meetings(self, store: Store, begun: Mapping[str, int]) -> list[Meeting]:
         """Return the results of the games in the store that players have learnt from in their generation.

@@ -48,6 +48,7 @@ class Progress(NamedTuple):
     """Progress of a turn after an iteration."""
 
     counters: Mapping[str, Counters]  # of the learners
+    trained: tuple[float, int]  # seconds and environment steps of the group, which its budget limits
     steps_per_second: float  # in this turn, learning included
     points: tuple[CurvePoint, ...]  # of this iteration
 
@@ -141,7 +142,8 @@ class Trainer:
                     self._policy_stacks(matchups, 1),
                     self._players_with_learning_critics(turn, matchups),
                 )
-            yield Progress({name: pool.counters[name] for name in turn.learners}, steps / elapsed, points)
+            counters = {name: pool.counters[name] for name in turn.learners}
+            yield Progress(counters, pool.trained(turn), steps / elapsed, points)
             if self._finalizer.reached(self._points):
                 break
             if left and self.comm.broadcast(stop()):

@@ -92,8 +92,9 @@ def _learning(facts: Facts) -> Card:
         return Card("Is it still learning?", "Not begun", [f"The league is {_runs(status)}."], links)
     found = gains(facts.shown.ladders[0], state)
     used = [f"{100 * min(status.progress.values()):.0f} % of its training budget"] if status.progress else []
-    seconds = clock(max(at.seconds for at in state.checkpoints.values()))
-    so_far = [f"iteration {state.newest.iteration:,}", f"{state.newest.step:,} steps", f"{seconds} of training", *used]
+    groups = state.learning_groups(facts.opened.settings().schedule())
+    seconds, steps = max(group.seconds for group in groups), max(group.steps for group in groups)
+    so_far = [f"iteration {state.newest.iteration:,}", f"{steps:,} steps", f"{clock(seconds)} of training", *used]
     lines = [f"The league is {_runs(status)}: {', '.join(so_far)}.", *(gain.text for gain in found)]
     return Card("Is it still learning?", _verdict(found, bool(status.runs)), _first(lines), links)
 

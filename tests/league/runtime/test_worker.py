@@ -13,6 +13,7 @@ from league.runtime.worker_process import WorkerSpec
 from league.scheduling import turn_scheduler
 from league.state.jobs import RatingMatch, encode
 from league.state.league_state import LeagueState
+from matchmaking.schedule import Schedule
 from storage.records import League, Player
 from storage.store import Store
 from tests.arenas.echo import EchoRules, EchoSettings
@@ -61,6 +62,24 @@ def test_one_turn_follows_the_other_without_a_manager_and_one_that_asks_as_well_
         assert ends[-1] == 0 or learner.status["iteration_seconds"] > 0
     assert ends == [0, 1, 2, 4, 7]  # at the last one its budget is spent
     assert {job.state for job in store.jobs(LEAGUE)} == {"done"}
+
+
+@pytest.mark.parametrize("kind", ["simultaneous", "leapfrog"])
+def test_a_worker_tells_the_counts_that_the_budget_limits(kind, store):
+    training = replace(CONFIG.training, schedule=Schedule(kind, period=2))
+    config = replace(CONFIG, training=training)
+    learner, found = worker(store, config), []
+    planned = turn_scheduler.next_turns(config, LeagueState.of(store, LEAGUE))
+    store.queue(planned.jobs, planned.phases)
+    while claimed := claim(store):
+        learner._run_job(*claimed)
+        if (at := store.checkpoint(LEAGUE, "blue")) is not None and at.iteration:
+            state = LeagueState.of(store, LEAGUE)
+            (group,) = state.groups
+            assert (learner.status["seconds"], learner.status["steps"]) == state.spent(group, training.schedule)
+            found.append(learner.status["steps"] // (16 * 8))
+    assert found[-1] == 7  # as many as the budget has
+    assert learner.status["iteration"] == (3 if kind == "leapfrog" else 7)  # of red, whose turn it is, or of both
 
 
 def test_a_worker_that_was_told_to_stop_asks_for_nothing_more(store):

@@ -58,6 +58,14 @@ def test_gains_and_losses_over_the_second_half_of_training_are_told(place):
         assert cards(store)[1].answer == "Yes, until it stopped"
 
 
+def test_players_that_take_turns_are_told_with_the_sum_that_their_budget_limits(place):
+    with filled(place) as store:
+        turns = '[budget]\ntraining_time = "4h"\n[training.schedule]\nkind = "leapfrog"\n'
+        store.set_config("cup", turns)
+        told = "iteration 4, 800 steps, 2:13:20 of training, 56 % of its training budget."
+        assert cards(store)[1].lines[0] == f"The league is stopped: {told}"
+
+
 def test_the_course_of_the_ratings_stands_beside_them_or_before_the_scores_in_training(place):
     with filled(place) as store:
         curves = [CurvePoint("cup", "blue", i, 100 * i, float(i), {"score": 0.1 * i}) for i in (1, 2, 3)]
