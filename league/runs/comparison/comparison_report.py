@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from dashboards.tables import Column, render
+from dashboards.text import wrapped
 from dashboards.web import figures
 from dashboards.web.document import FigureBlock, Page, Section, TableBlock
 from league.queries.ratings.rating_rows import Row
 from league.runs.comparison.cell_ranks import CellRank, verdict
 from league.runs.comparison.cells import Cell
-from league.runs.comparison.curve_bands import Band
+from league.runs.comparison.curve_bands import Band, apart
 
 SHOWN_STEPS = 5  # steps at which a table tells a curve
 
@@ -65,7 +66,9 @@ class Comparison:
 
 def text(found: Comparison) -> list[str]:
     """Return the comparison as blocks of text."""
-    blocks = [_curves(found)] if found.bands else [f"No league has a {found.metric} yet."]
+    blocks = [_curves(found)] if found.bands else [f"No league has a curve of {found.metric} yet."]
+    if alone := apart(found.bands, found.metric):
+        blocks.append(wrapped(alone))
     if found.rows:
         columns = (
             Column("rank", "", 0), Column("name", "snapshot", no_wrap=True),
@@ -91,27 +94,42 @@ def text(found: Comparison) -> list[str]:
 
 
 def _curves(found: Comparison) -> str:
-    """Return the bands at a few steps as a table."""
-    end = min(band.steps[-1] for band in found.bands)
-    begin = max(band.steps[0] for band in found.bands)
-    at = [begin + (end - begin) * i / (SHOWN_STEPS - 1) for i in range(SHOWN_STEPS)] if end > begin else [end]
+    """Return the bands at a few steps as a table; a cell has no value at a step where it has no band."""
+    at = _shown_steps(found.bands)
     rows = []
     for band in found.bands:
-        told = [band.at(step) for step in at]
-        cells = {
-            f"{step:,.0f}": f"{mean:.3g}" + (f" ({low:.3g}-{high:.3g})" if band.leagues > 1 else "")
-            for step, (mean, low, high) in zip(at, told, strict=True)
-        }
-        rows.append({"cell": band.cell, "leagues": band.leagues, **cells})
+        told = {f"{step:,.0f}": _at(band, step) for step in at}
+        rows.append({"cell": band.cell, "leagues": band.leagues, **told})
     columns = ["cell", "leagues", *(Column(f"{step:,.0f}", no_wrap=True) for step in at)]
     ranges = ", mean over leagues (lowest-highest)" if any(band.leagues > 1 for band in found.bands) else ""
     return f"{found.metric} over training steps{ranges}:\n{render(rows, columns)}"
+
+
+def _shown_steps(bands: Sequence[Band]) -> list[float]:
+    """Return steps from the latest first to the earliest last one of all bands.
+
+    If one begins only after another has ended, return last steps of bands instead.
+    """
+    begin, end = max(band.steps[0] for band in bands), min(band.steps[-1] for band in bands)
+    if end < begin:
+        last = sorted({float(band.steps[-1]) for band in bands})
+        return list(dict.fromkeys(last[i * (len(last) - 1) // (SHOWN_STEPS - 1)] for i in range(SHOWN_STEPS)))
+    return [begin + (end - begin) * i / (SHOWN_STEPS - 1) for i in range(SHOWN_STEPS)] if end > begin else [end]
+
+
+def _at(band: Band, step: float) -> str | None:
+    """Return a band's mean at a step, with its range if it has several leagues; None where it has no band."""
+    if (told := band.at(step)) is None:
+        return None
+    mean, low, high = told
+    return f"{mean:.3g}" + (f" ({low:.3g}-{high:.3g})" if band.leagues > 1 else "")
 
 
 def page(found: Comparison, title: str, about: str) -> Page:
     """Return the comparison as a page with figures."""
     points = found.curve_rows()
     caption = f"{found.metric} over training steps: mean of each cell's leagues, and the range of leagues."
+    caption = " ".join(filter(None, [caption, apart(found.bands, found.metric)]))
     sections = [Section("curves", "Curves", [FigureBlock(figures.bands(points, found.metric), caption)])]
     if found.rows:
         rows = found.ladder_rows()

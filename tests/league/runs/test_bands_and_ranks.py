@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashboards.web.document import document
 from league.config.experiment import default
+from league.config.schema import ConfigError
 from league.config.sections import PlayerSettings
 from league.queries.query import Open
 from league.runs.comparison.cell_ranks import ranked, verdict
 from league.runs.comparison.cells import Cell, Member
+from league.runs.comparison.comparison_report import Comparison, page, text
 from league.runs.comparison.cross_play import CrossPlay
-from league.runs.comparison.curve_bands import _band, _curve
+from league.runs.comparison.curve_bands import _band, _curve, apart, bands
 from league.runtime.bootstrap import create
 from storage.records import CurvePoint
 from storage.store import Store
@@ -31,14 +34,62 @@ def row(league: str, elo: float, half: float = 10.0, known: bool = True, role: s
 def test_a_band_is_the_mean_and_range_of_leagues_up_to_the_last_common_step():
     one = np.array([10.0, 20.0, 40.0]), np.array([0.0, 1.0, 1.0])
     two = np.array([10.0, 30.0]), np.array([0.5, 0.5])
-    band = _band("lr", [one, two])
+    band = _band("lr", {"lr.s1": one, "lr.s2": two})
     assert band is not None
     assert band.steps.tolist() == [10, 20, 30]
     assert band.mean.tolist() == [0.25, 0.75, 0.75]
     assert band.low.tolist() == [0.0, 0.5, 0.5]
     assert band.high.tolist() == [0.5, 1.0, 1.0]
     assert band.at(15) == (0.5, 0.25, 0.75)
-    assert _band("none", [(np.zeros(0), np.zeros(0))]) is None
+    assert (band.at(9), band.at(31)) == (None, None)
+    assert (band.leagues, band.left_out) == (2, ())
+    assert _band("none", {"none.s1": (np.zeros(0), np.zeros(0))}) is None
+
+
+def test_a_league_counts_in_no_band_where_it_has_no_curve_and_is_named():
+    early = np.array([100.0, 400.0]), np.array([0.5, 0.6])
+    late = np.array([500.0, 900.0]), np.array([0.75, 0.9])
+    band = _band("lr", {"early": early, "late": late})
+    assert band is not None
+    assert (band.steps.tolist(), band.mean.tolist(), band.leagues) == ([100, 400], [0.5, 0.6], 1)
+    assert apart([band], "score").endswith("known at none of their cell's steps: late (cell lr).")
+    band = _band("lr", {"early": early, "late": late, "later": (np.array([600.0, 700.0]), np.array([0.0, 1.0]))})
+    assert band is not None  # the most leagues with a step in common
+    assert (band.steps.tolist(), band.low.tolist(), band.leagues) == ([600, 700], [0, 0.825], 2)
+    assert band.left_out == ("early",)
+    assert apart([replace(band, left_out=())], "score") == ""
+
+
+def test_a_cell_has_no_value_at_steps_where_it_has_no_band():
+    early = _band("early", {"early.s1": (np.array([100.0, 400.0]), np.array([0.5, 0.6]))})
+    late = _band("late", {"late.s1": (np.array([500.0, 900.0]), np.array([0.75, 0.9]))})
+    assert early is not None
+    assert late is not None
+    shown = text(Comparison([], "score", [early, late], [], [], "elo", []))[0].splitlines()
+    assert [line.split() for line in shown if "early" in line or "late" in line] == [
+        ["early", "1", "0.6", "–"], ["late", "1", "–", "0.9"],
+    ]  # fmt: skip
+    lone = _band("late", {"early": (np.array([100.0]), np.array([0.5])), "late": (np.array([500.0]), np.array([1.0]))})
+    assert lone is not None
+    told = Comparison([], "score", [lone], [], [], "elo", [])
+    assert "late (cell late)" in " ".join(text(told)[1].split())
+    assert "late (cell late)" in document(page(told, "Comparison", "here"))
+
+
+def test_a_league_whose_players_have_no_step_in_common_has_no_curve(tmp_path):
+    recorded = {"blue": (100, 200), "red": (300, 400)}
+    points = [
+        CurvePoint("cup", name, i, step, float(i), {"score": 0.5})
+        for name, steps in recorded.items()
+        for i, step in enumerate(steps, 1)
+    ]
+    with filled(tmp_path) as store:
+        finish(store, curves=points)
+        member = Member(Open(store, "cup"), "cup", {})
+        assert _curve(member, "score")[0].size == 0
+        assert bands([Cell("lr", {}, [member])], "score") == []
+        with pytest.raises(ConfigError, match="metric 'scores' was not recorded; there are: "):
+            bands([Cell("lr", {}, [member])], "scores")
 
 
 def test_a_league_has_the_mean_of_its_players_between_whose_points_it_is_interpolated(tmp_path):
