@@ -5,9 +5,11 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from league.commands.run.background import BackgroundRun, manage
 from league.commands.run.live import live_matches
@@ -35,6 +37,14 @@ from storage.errors import NotAStore
 from storage.store import Store
 
 WHAT = "Run a league: train, play rating matches, continue where it stopped."
+
+
+class SettingChanges(NamedTuple):
+    """Settings of this run that differ from those of the last run of its leagues."""
+
+    start: Sequence[str] = ()  # lines about `after`, which players that have begun do not read
+    used: Sequence[str] = ()  # lines for a run that goes on with the settings
+    settings: Sequence[str] = ()  # each setting, as `seed 1 -> 2`
 
 
 def run(args: list[str]) -> int:
@@ -69,35 +79,40 @@ def execute(request: RunRequest) -> int:
             prepared, warm_worker = until_the_end.enter_context(preparing)
         except ConfigError as error:
             raise request.with_location(error) from None
-        for line in changes:  # only now: a setting may just have been refused
-            print(line)
-        return _run(request, spec, prepared, warm_worker)
+        return _run(request, spec, prepared, warm_worker, changes)
 
 
-def _run(request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: WarmWorker | None) -> int:
+def _run(
+    request: RunRequest, spec: RunSpec, prepared: Prepared, warm_worker: WarmWorker | None, changes: SettingChanges
+) -> int:
     """Run a prepared league, unless nothing is left to do. Writes the configuration again if it has another budget."""
+    for line in changes.start:  # only now: a setting may just have been refused
+        print(line)
     config = request.config
     with Store.open(spec.store, blobs=spec.blobs) as store:
         if config.stages:
             done = _finished_curriculum(store, spec.store, config)
             if done is not None:
-                print(done)
+                print(f"{done}{_unused(changes)}")
                 return 0
-            return _start(request, spec, config, prepared, warm_worker)
+            return _start(request, spec, config, prepared, warm_worker, changes)
         state = with_retries(LeagueState.of(store, config.league, recent=averaged_iterations(config)))
         config = _with_budget(request, state)
         paused = any(player.paused is not None for player in state.players)  # the manager resumes them
         if trained_enough(config, state) and not paused and not rating_goes_on(config, state):
-            print(f"{summary(config, state, spec.store)}\n\n{_budget_had(config)}")
+            print(f"{summary(config, state, spec.store)}\n\n{_nothing_left(config, changes)}")
             return 0
     if config != request.config:
         spec = RunSpec.of(spec.store, config)
-    return _start(request, spec, config, prepared, warm_worker)
+    return _start(request, spec, config, prepared, warm_worker, changes)
 
 
 def _start(
-    request: RunRequest, spec: RunSpec, config: Config, prepared: Prepared, warm_worker: WarmWorker | None
-) -> int:
+    request: RunRequest, spec: RunSpec, config: Config, prepared: Prepared, warm_worker: WarmWorker | None,
+    changes: SettingChanges,
+) -> int:  # fmt: skip
+    for line in changes.used:
+        print(line)
     if request.options.detach:
         return _detach(BackgroundRun(spec, prepared))
     with live_matches(spec, config.league) if request.options.live else nullcontext():
@@ -132,19 +147,19 @@ def _refuse_if_running(where: str, config: Config) -> None:
         )
 
 
-def _setting_changes(where: str, config: Config) -> list[str]:
-    """Return lines for each league of this run whose settings differ from those of its last run."""
+def _setting_changes(where: str, config: Config) -> SettingChanges:
+    """Return how the settings of each league of this run differ from those of its last run."""
     first = configuration.stage(config, 0) if config.stages else config
     try:
         with Store.open(where, blobs=config.storage.blobs) as store:
             kept = {league.name: league.config for league in store.leagues()}
             begun = [*store.newest_checkpoints(first.league)]
     except NotAStore:
-        return []
-    told = []
+        return SettingChanges()
+    start, used, settings = [], [], dict[str, None]()
     if begun and config.every_after and start_changed(kept.get(config.league, ""), configuration.dumps(config)):
         by_parts = f", by after_parts = {json.dumps(config.after_parts)}," if config.after_parts else ""
-        told.append(
+        start.append(
             f"after = {json.dumps(config.every_after)}{by_parts} is for players that begin to learn:"
             f" {', '.join(begun)} of league {first.league} go on from where they are. A league of another name"
             " (--league) starts from there."
@@ -152,13 +167,22 @@ def _setting_changes(where: str, config: Config) -> list[str]:
     for each in [configuration.stage(config, number) for number in range(len(config.stages))] or [config]:
         before, now = kept.get(each.league, ""), configuration.dumps(each)
         if changes := learner_changes(before, now):
+            settings |= dict.fromkeys(changes)
             shown = ", ".join(changes)
-            told.append(
+            used.append(
                 f"Learns on with other settings than before: {shown}. `league explain SNAPSHOT` shows them later."
             )
         if changes := run_changes(before, now):
-            told.append(f"Goes on with other settings than before: {', '.join(changes)}.")
-    return told
+            settings |= dict.fromkeys(changes)
+            used.append(f"Goes on with other settings than before: {', '.join(changes)}.")
+    return SettingChanges(start, used, tuple(settings))
+
+
+def _unused(changes: SettingChanges) -> str:
+    """Return the sentence about settings that a run without work leaves unused; an empty text without any."""
+    if not changes.settings:
+        return ""
+    return f" The league keeps the settings of its last run, and these are not used: {', '.join(changes.settings)}."
 
 
 def _with_budget(request: RunRequest, state: LeagueState) -> Config:
@@ -184,11 +208,16 @@ def _with_budget(request: RunRequest, state: LeagueState) -> Config:
     return config
 
 
-def _budget_had(config: Config) -> str:
+def _nothing_left(config: Config, changes: SettingChanges) -> str:
+    """Return why the run ends at once, which settings it leaves unused, and what goes on."""
     if config.budget == replace(config.budget, training_time=None, steps=None):
-        return f"Nobody in league {config.league} can learn any more: `league status` tells why."
+        return f"Nobody in league {config.league} can learn any more: `league status` tells why.{_unused(changes)}"
+    had = f"League {config.league} has had its budget of {_budget(config)}"
+    if changes.settings:  # a plain `league run` would go on with those of the store
+        more = "--steps" if config.deterministic else "--for or --steps"
+        return f"{had}.{_unused(changes)} To learn on with them, give them again with a larger budget or with {more}."
     more = "--steps says how many more" if config.deterministic else "`league run` goes on without one"
-    return f"League {config.league} has had its budget of {_budget(config)}; {more}."
+    return f"{had}; {more}."
 
 
 def _budget(config: Config) -> str:

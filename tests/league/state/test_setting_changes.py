@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import pytest
 
+from league.commands.run.run import SettingChanges, _nothing_left
 from league.config import experiment
 from league.config.experiment import PlayerSettings
 from league.state.setting_changes import learner_changes, lineage, run_changes, start_changed
 from matchmaking.roles import Role
 from storage.records import Snapshot
+from storage.store import Store
 from tests.league.conftest import call, said
 
 PLAIN = experiment.default("rock-paper-scissors")
@@ -88,6 +90,42 @@ def test_the_snapshot_after_a_change_bears_it():
         (0, ()), (4, ()), (8, ("learner.lr 0.001 -> 0.5",)), (16, ())
     ]  # fmt: skip
     assert [each.snapshot.name for each in lineage([snapshot(2, text(), "gone@3")], "blue@2")] == ["blue@2"]
+
+
+def test_settings_of_a_run_without_work_are_named_as_unused_and_not_kept(copied_league, tmp_path):
+    def kept() -> str:
+        with Store.open(tmp_path / "league-data") as store:
+            return store.league("tiny").config
+
+    before, given = kept(), ("--learner.lr", "0.002", "--seed", "2", "--budget.rating_time", "0s")
+    without = ("--workers.match", "0")
+    done = call("run", *given, *without, "--budget.steps", "8192", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "other settings than before" not in done.stdout
+    (told,) = [line for line in done.stdout.splitlines() if "has had its budget of 8,192 steps" in line]
+    assert "these are not used: learner.lr 0.001 -> 0.002, seed 3 -> 2." in told
+    assert told.endswith("To learn on with them, give them again with a larger budget or with --for or --steps.")
+    assert kept() == before
+    done = call("run", *given, *without, "--budget.steps", "10240", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Learns on with other settings than before: learner.lr 0.001 -> 0.002." in done.stdout
+    assert "not used" not in done.stdout
+    now = experiment.loads(kept())
+    assert (now.learner.lr, now.seed, now.budget.steps) == (0.002, 2, 10_240)
+    again = call("run", *given, *without, "--budget.steps", "10240", cwd=tmp_path)
+    assert "has had its budget of 10,240 steps; `league run` goes on without one." in again.stdout
+
+
+def test_a_run_without_work_says_what_uses_its_settings():
+    spent = replace(PLAIN, league="cup", budget=replace(PLAIN.budget, training_time=None, steps=99))
+    other = SettingChanges(settings=("seed 1 -> 2",))
+    unused = "The league keeps the settings of its last run, and these are not used: seed 1 -> 2."
+    assert _nothing_left(spent, SettingChanges()).endswith("99 steps; `league run` goes on without one.")
+    again = "To learn on with them, give them again with a larger budget or with"
+    assert _nothing_left(spent, other).endswith(f"99 steps. {unused} {again} --for or --steps.")
+    assert _nothing_left(replace(spent, deterministic=True), other).endswith(f"{unused} {again} --steps.")
+    nobody = replace(spent, budget=replace(spent.budget, steps=None))
+    assert _nothing_left(nobody, other).endswith(f"`league status` tells why. {unused}")
 
 
 @pytest.mark.slow

@@ -320,9 +320,11 @@ def test_a_curriculum_is_walked_and_a_kill_amid_a_stage_costs_nothing(tmp_path, 
     assert "1. near: has ended" in told("status")
     assert told("snapshots", "--league", "pucks").count("runner@0") == 1
     assert told("snapshots", "--league", "pucks") == told("snapshots")
-    over = call("run", cwd=tmp_path)
+    over = call("run", "--seed", "12345", cwd=tmp_path)
     assert over.returncode == 0
     assert "The last stage of league pucks has ended" in over.stdout
+    assert "keeps the settings of its last run, and these are not used: seed 1 -> 12345." in over.stdout
+    assert "Goes on with other settings" not in over.stdout
 
 
 @pytest.mark.slow
