@@ -9,7 +9,7 @@ begins.
 from collections.abc import Callable
 from functools import partial
 from itertools import count
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 from weakref import WeakValueDictionary
 
 import jax
@@ -29,6 +29,15 @@ class Actor(Protocol):
 
     def __call__(self, observations: np.ndarray, noise: np.ndarray, first: np.ndarray) -> np.ndarray:
         """Return the actions."""
+        ...
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """An actor that can go on in the episodes of another one."""
+
+    def take_over(self, other: Actor) -> None:
+        """Remember what the other actor remembers, as far as the two are alike."""
         ...
 
 
@@ -56,6 +65,14 @@ class HostPolicy:
             return actions
         except Exception as error:  # a stranger's code: it may raise anything, and the league goes on
             return self._fault(f"raised {type(error).__name__}: {' '.join(str(error).split())[:300]}", shape)
+
+    def exchange(self, make: Callable[[], Actor]) -> None:
+        """Act by other actors from now on; in each seat a new one takes over what the old one remembers."""
+        self._make = make
+        for seat, old in self._seats.items():
+            self._seats[seat] = new = make()
+            if isinstance(new, Remembering):
+                new.take_over(old)
 
     def _seat(self, agent: str, group: int, worlds: int) -> tuple[Actor, bool]:
         """Return the actor of a seat, and whether it is new."""

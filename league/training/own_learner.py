@@ -66,7 +66,8 @@ class OwnLearner:
         self._learner: Learner = made
         self._functions: list[Actor | None] = []  # by which agents act now
         self._seats: dict[int, HostPolicy] = {}  # of agents that act by functions
-        self._programs: list[HostPolicy] = []  # kept, because a rollout knows them by number alone
+        self._programs: list[HostPolicy] = []  # of agents that act by programs
+        self._program = b""  # by which they act now
         self._fault = ""  # of an agent's function, in the newest rollout
         self._learnt = self._reloaded = False  # whether it has, and whether a learnt state was loaded as a test
 
@@ -80,6 +81,7 @@ class OwnLearner:
         self._check_count(found, "act")
         if not any(isinstance(each, Mapping) or _is_function(each) for each in found):
             return self._loaded(self._stored(found).to_bytes())
+        self._forget()  # programs do not see these decisions
         self._functions = [each if _is_function(each) else None for each in found]
         return [self._seat(i) if _is_function(each) else self._actor(each, i, "act") for i, each in enumerate(found)]
 
@@ -126,6 +128,8 @@ class OwnLearner:
         own = {name.removeprefix(PREFIX): array for name, array in state.items() if name.startswith(PREFIX)}
         if not own and "rng" in state:
             raise self._failed(f": the checkpoint is that of a learner of class {HAPPO}")
+        self._forget()
+        self._seats.clear()
         with self._blamed("load"):
             self._learner.load(own)
 
@@ -225,8 +229,17 @@ class OwnLearner:
             raise self._failed(f".export: {error}") from None
 
     def _loaded(self, program: bytes) -> list[Arrays | HostPolicy]:
-        self._programs = stored.host_policies(program, self.source.where, self._note)
+        """Return the policies that act by a program; they remember the episodes in which earlier ones acted."""
+        if not self._programs:
+            self._programs = stored.host_policies(program, self.source.where, self._note)
+        elif program != self._program:
+            stored.exchange(self._programs, program)
+        self._program = program
         return [*self._programs]
+
+    def _forget(self) -> None:
+        """Forget the episodes in which programs have acted: they act by new policies next."""
+        self._programs = []
 
     def _check_count(self, found: Sequence[Any], verb: str) -> None:
         team = self.source.team

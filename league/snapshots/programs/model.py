@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agents.policy.host_policy import Actor
 from storage.errors import StorageError
 
 NOISE, OBSERVATIONS, ACTIONS, NEXT = "noise", "observations", "actions", "next_"
@@ -47,6 +48,7 @@ class Model:
     noise: bool = False  # it has an input `noise`
     memory: Mapping[str, int] = field(default_factory=dict)  # input -> size; the output `next_<input>` renews it
     rows: int | None = None  # number of worlds that it takes at once; None: any number
+    initial: Arrays = field(default_factory=dict)  # memory (size,) where an episode begins; zeros without
 
     def actor(self, agent: AgentSizes) -> "ModelActor":
         """Return an actor of its own memory."""
@@ -65,12 +67,18 @@ class ModelActor:
         model, number = self._model, len(observations)
         inputs = {model.sees: observations, **({NOISE: noise} if model.noise else {})}
         for name, size in model.memory.items():
-            before = self._memory.get(name, np.zeros((number, size), np.float32))
-            inputs[name] = np.where(first[:, None], np.float32(0), before)
+            initial = np.broadcast_to(model.initial.get(name, np.float32(0)), (number, size))
+            inputs[name] = np.where(first[:, None], initial, self._memory.get(name, initial))
         outputs = run_in_pieces(model, inputs)
         for name in model.memory:
             self._memory[name] = np.asarray(outputs[NEXT + name], np.float32)
         return outputs[model.acts]
+
+    def take_over(self, other: Actor) -> None:
+        """Remember what another model remembers of the same worlds, as far as it has memories of the same sizes."""
+        if isinstance(other, ModelActor):
+            sizes = self._model.memory
+            self._memory = {name: x for name, x in other._memory.items() if sizes.get(name) == x.shape[1]}
 
 
 def run_in_pieces(model: Model, inputs: Arrays) -> Arrays:

@@ -106,6 +106,13 @@ def host_policies(data: bytes, name: str, report: Callable[[str], None] | None =
     return policies
 
 
+def exchange(policies: Sequence[HostPolicy], data: bytes) -> None:
+    """Let policies of the same roster act by the programs of other bytes; what they remember of episodes stays."""
+    files, about = programs.from_bytes(data)
+    for policy, agent in zip(policies, about["agents"], strict=True):
+        policy.exchange(_maker(about["kind"], files[agent["file"]], agent))
+
+
 def reporter(name: str, agent: int, report: Callable[[str], None] | None = None) -> Callable[[str], None]:
     """Return a function that reports an agent's first fault, to `report`, by default stderr, in a line."""
     tell = report or (lambda line: print(f"league: {line}", file=sys.stderr))

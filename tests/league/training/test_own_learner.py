@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import arenas
+from agents.policy.host_policy import HostPolicy
 from arenas.arena_settings import Table
 from league.config import experiment
 from league.config.build import build
@@ -19,6 +21,7 @@ from league.queries.query import Open
 from league.runtime.validation import validate
 from league.snapshots.policy_file import export
 from league.state.jobs import RatingMatch
+from league.training.own_learner import LearnerSource, OwnLearner
 from league.training.setback import PlayerDiverged
 from matchmaking.opponents import Opponents
 from tests.league.turns import LEAGUE, claim, ends, new_store, new_trainer, settings, turns
@@ -170,6 +173,69 @@ def test_a_network_of_another_kind_is_kept_as_a_program_and_plays(store, game, t
     newest = store.snapshots(LEAGUE, "blue")[-1]
     match = against_rock(config, game, store, newest.name)
     assert match.wins + match.draws + match.losses == 64
+
+
+REMEMBERS = """
+class Count(torch.nn.Module):
+    memory_size: int
+
+    def __init__(self, weight: float):
+        super().__init__()
+        self.memory_size = 1
+        self.weight = weight
+
+    def forward(self, observations, memory):
+        return (memory + self.weight).expand(observations.shape[0], 3), memory + 1.0
+
+class Kept(torch.nn.Module):
+    def __init__(self, weight: float):
+        super().__init__()
+        self.weight = weight
+        self.register_buffer("count", torch.zeros(1, 1))
+
+    def forward(self, observations):
+        now = (self.count + self.weight).expand(observations.shape[0], 3)
+        self.count += 1.0
+        return now
+
+class Mine:
+    def __init__(self, agents, settings, seed, device):
+        self.net, self.weight = {"Count": Count, "Kept": Kept}[settings["net"]], torch.zeros(1)
+
+    def learn(self, batch):
+        return {}
+
+    def save(self):
+        return {"weight": self.weight}
+
+    def load(self, state):
+        self.weight = torch.tensor(state["weight"])
+
+    def export(self):
+        return [torch.jit.script(self.net(float(self.weight)))]
+"""
+
+
+@pytest.mark.parametrize("net", ["Count", "Kept"])
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+def test_what_its_program_remembers_outlasts_the_rollouts_of_an_episode(game, tmp_path, net):
+    """Its actions are the decisions since the episode began, plus the weight that it had learnt then."""
+    learner = OwnLearner(
+        "blue", LearnerSource(written(tmp_path, REMEMBERS), Table({"net": net}), game.teams[0], 1, "cpu")
+    )
+
+    def acted(policies, *first):
+        (policy,) = policies
+        assert isinstance(policy, HostPolicy)
+        blank = np.zeros((2, 1), np.float32), np.zeros((2, 3), np.float32)
+        return policy.act("chooser", 0, *blank, np.array(first, bool))[:, 0].tolist()
+
+    assert [acted(learner.act(), True, True), acted(learner.act(), False, False)] == [[0, 0], [1, 1]]
+    learner._learner.load({"weight": np.full(1, 100.0, np.float32)})  # as if it had learnt
+    assert acted(learner.act(), False, True) == [102, 100]
+    assert acted(learner.play(), False, False) == [103, 101]
+    learner.load(learner.save())
+    assert acted(learner.act(), False, False) == [100, 100]
 
 
 FORGETS = """
