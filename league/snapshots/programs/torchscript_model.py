@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from league.snapshots.programs.model import ACTIONS, NEXT, AgentSizes, Arrays, Model, ProgramError, roles
+from league.snapshots.programs.model import ACTIONS, NEXT, NOISE, AgentSizes, Arrays, Model, ProgramError, roles
+from league.snapshots.programs.torchscript_state import InnerState
 
 
 def load(data: bytes, name: str, agent: AgentSizes) -> Model:
     """Return the model in a TorchScript file. Raises ProgramError for a file that is none.
 
     Its `forward` takes one tensor or several by the names of `roles`. With memory it returns (actions, next memory,
-    ...) in the order of its arguments, and its attribute `x_size` has the size of a memory `x`.
+    ...) in the order of its arguments, and its attribute `x_size` has the size of a memory `x`. A module that keeps
+    its state inside is called for one world at a time, each with a state of its own.
     """
     try:
         module = _module(data)
@@ -27,15 +29,24 @@ def load(data: bytes, name: str, agent: AgentSizes) -> Model:
         ) from None
     sees, noise, memory = roles(arguments, f"{name}: forward")
     sizes = {each: _memory_size(module, name, each) for each in memory}
+    seen, still = agent.trial(1)
+    trial = {sees: seen, NOISE: still, **{each: np.zeros((1, size), np.float32) for each, size in sizes.items()}}
+    with torch.inference_mode():
+        state = InnerState(module, tuple(torch.from_numpy(trial[each]) for each in arguments), name)
 
     def run(given: Arrays) -> Arrays:
         """Run the module; single results count as actions."""
         with torch.inference_mode():
+            state.set(given)
             found = module(*(torch.from_numpy(np.array(given[each])) for each in arguments))
+            after = {NEXT + each: x[None] for each, x in state.read().items()}
         found = list(found) if isinstance(found, (tuple, list)) else [found]
-        return dict(zip([ACTIONS, *(NEXT + each for each in memory)], (x.numpy() for x in found), strict=False))
+        names = [ACTIONS, *(NEXT + each for each in memory)]
+        return dict(zip(names, (x.numpy() for x in found), strict=False)) | after
 
-    return Model(run, sees, ACTIONS, noise, sizes)
+    inside = state.initial
+    sizes |= {each: len(x) for each, x in inside.items()}
+    return Model(run, sees, ACTIONS, noise, sizes, 1 if inside else None, inside)
 
 
 def parameters(data: bytes, name: str) -> int:

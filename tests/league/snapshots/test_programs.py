@@ -300,6 +300,80 @@ def test_what_a_program_remembers_of_its_worlds_outlasts_a_recording_of_other_wo
     assert policy.act("a", 0, none, none, np.array([True, False])).ravel().tolist() == [0, 2]
 
 
+class Gated(torch.nn.Module):
+    """A GRU for one robot that keeps its hidden state inside, as exporters for legged robots write it."""
+
+    def __init__(self):
+        super().__init__()
+        self.rnn, self.out = torch.nn.GRUCell(1, 4), torch.nn.Linear(4, 3)
+        self.register_buffer("hidden", torch.full((1, 4), 9.0))  # of the episode in which it was saved
+
+    def forward(self, x):
+        self.hidden[:] = self.rnn(x, self.hidden)
+        return self.out(self.hidden)
+
+    @torch.jit.export
+    def reset(self):
+        self.hidden[:] = 0.0
+
+
+class Smooth(torch.nn.Module):
+    """A policy that remembers its last action in an attribute."""
+
+    def __init__(self):
+        super().__init__()
+        self.last = torch.zeros(1, 3)
+
+    def forward(self, x):
+        self.last = 0.5 * self.last + x
+        return self.last
+
+
+@pytest.mark.parametrize("made", [Gated, Smooth])
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+def test_a_module_that_keeps_its_state_inside_has_one_for_each_world_and_episode(tmp_path, made):
+    torch.manual_seed(0)
+    torch.jit.script(made()).save(str(tmp_path / "kept.pt"))
+    program = read("torchscript", [str(tmp_path / "kept.pt")], ROSTER)
+    assert program.singles
+    (policy,) = host_policies(program.to_bytes(), "kept")
+    seen, noise = np.random.default_rng(0).standard_normal((6, 3, 1), np.float32), np.zeros((3, 3), np.float32)
+    first = np.array([[1, 1, 1], [0, 0, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [0, 0, 0]], bool)
+    acted = np.stack([policy.act("a", 0, x, noise, begins) for x, begins in zip(seen, first, strict=True)])
+    for world in range(3):
+        alone = torch.jit.load(str(tmp_path / "kept.pt"))
+        with torch.no_grad():
+            for x, begins, action in zip(seen[:, world], first[:, world], acted[:, world], strict=True):
+                if begins and made is Gated:
+                    alone.reset()
+                elif begins:
+                    alone.last = torch.zeros(1, 3)
+                assert action == pytest.approx(alone(torch.from_numpy(x[None])).numpy()[0], abs=1e-6)
+
+
+class Numbered(torch.nn.Module):
+    """A policy that counts its decisions in a number, which is no tensor."""
+
+    count: int
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def forward(self, x):
+        self.count += 1
+        return x.expand(x.shape[0], 3) * float(self.count)
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+def test_a_state_inside_that_cannot_be_kept_apart_is_refused_in_one_line(tmp_path):
+    torch.jit.script(Numbered()).save(str(tmp_path / "n.pt"))
+    with pytest.raises(
+        ProgramError, match=r"n\.pt keeps its state inside, in count, .*: make it an argument x .*next_x"
+    ):
+        read("torchscript", [str(tmp_path / "n.pt")], ROSTER)
+
+
 class Counter:
     """A policy whose action is the number of decisions since the episode began."""
 
