@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 import arenas
 from agents.policy.host_policy import HostPolicy
