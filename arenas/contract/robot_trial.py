@@ -163,7 +163,7 @@ class RobotTrial:
             ways.append(sign * float(data.qpos[at.joint_qpos[index]] - scene.rest[at.joint_qpos[index]]))
         model.opt.gravity[:] = gravity
         commands = [
-            np.asarray(self.robot.command(jnp.asarray(each * np.eye(1, len(action), index)[0]))) for each in (0, 1)
+            np.asarray(self.robot.command(jnp.asarray(each * np.eye(1, len(action), index)[0]))) for each in (-1, 1)
         ]
         turn = float(np.sign(commands[1] - commands[0])[index])
         farthest = max(turn * way for way in ways)

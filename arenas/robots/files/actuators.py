@@ -87,14 +87,30 @@ def _drive(source: Source, i: int, actuator: str) -> Drive:
         return Drive("torque", 0.0, scale, effort=min(filter(None, (torque, force)), default=0.0))
     plain &= bias[0] == 0  # a force without a command is none of a drive's settings
     if plain and model.actuator_biastype[i] == AFFINE and bias[1] < 0 and abs(bias[1] + gain) < 1e-6 * gain:
-        return Drive("position", 0.0, 0.0, kp=gain * gear**2, kd=float(-bias[2]) * gear**2, effort=force)
+        low, high = _target_range(model, i, 1 / gear)
+        return Drive(
+            "position", 0.0, 0.0, kp=gain * gear**2, kd=float(-bias[2]) * gear**2, effort=force,
+            target_low=low, target_high=high,
+        )  # fmt: skip
     if plain and model.actuator_biastype[i] == AFFINE and bias[1] == 0 and bias[2] < 0:
-        return Drive("velocity", 0.0, most * gain / float(-bias[2]) / gear, kd=float(-bias[2]) * gear**2, effort=force)
+        unit = gain / float(-bias[2]) / gear
+        low, high = _target_range(model, i, unit)
+        return Drive(
+            "velocity", 0.0, most * unit, kd=float(-bias[2]) * gear**2, effort=force, target_low=low, target_high=high
+        )
     joint = source.joint(int(model.actuator_trnid[i, 0]))
     raise RobotError(
         f"{source.path}: actuator {actuator} of joint {joint} is no motor, position or velocity actuator; write it as"
         " one of these"
     )
+
+
+def _target_range(model: mujoco.MjModel, i: int, unit: float) -> tuple[float, float]:
+    """Return the range of an actuator's targets at the joint, both 0 without one; `unit` is a command of 1 there."""
+    if not model.actuator_ctrllimited[i]:
+        return 0.0, 0.0
+    low, high = sorted(float(each) * unit for each in model.actuator_ctrlrange[i])
+    return low, high
 
 
 def _merged(source: Source, joint: str, one: Drive, other: Drive) -> Drive:

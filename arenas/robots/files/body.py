@@ -94,7 +94,10 @@ def _turned(turn: np.ndarray | None, pos: np.ndarray, quat: np.ndarray) -> tuple
 def _inertia(model: mujoco.MjModel, i: int, turn: np.ndarray | None) -> dict[str, Any]:
     ipos, iquat = _turned(turn, model.body_ipos[i], model.body_iquat[i])
     mass, inertia = float(model.body_mass[i]), model.body_inertia[i]
-    return {"mass": mass, "ipos": ipos, "iquat": iquat, "inertia": inertia, "explicitinertial": mass > 0}
+    return {
+        "mass": mass, "ipos": ipos, "iquat": iquat, "inertia": inertia, "explicitinertial": mass > 0,
+        "gravcomp": float(model.body_gravcomp[i]),
+    }  # fmt: skip
 
 
 def _add_joints(source: Source, robot: RobotFile, body: mujoco.MjsBody, i: int) -> None:
@@ -115,6 +118,9 @@ def _add_joints(source: Source, robot: RobotFile, body: mujoco.MjsBody, i: int) 
             stiffness=_first(model.jnt_stiffness[j]), damping=_first(model.dof_damping[dof]),
             armature=drive.armature if drive else float(model.dof_armature[dof]),
             frictionloss=float(model.dof_frictionloss[dof]),
+            solref_friction=model.dof_solref[dof], solimp_friction=model.dof_solimp[dof],
+            solref_limit=model.jnt_solref[j], solimp_limit=model.jnt_solimp[j], margin=float(model.jnt_margin[j]),
+            actgravcomp=bool(model.jnt_actgravcomp[j]),
             actfrclimited=effort > 0, actfrcrange=[-effort, effort],
         )  # fmt: skip
 

@@ -27,7 +27,7 @@ HOLDS, REACH, DAMPED = 1.0, 0.1, 1 / 30
 SAG = 0.05  # m, of a sliding joint under the whole weight
 SPEEDS = {HINGE: 10.0, SLIDE: 0.5}  # rad/s and m/s of a velocity target per unit of action
 GRAVITY = 9.81
-SCALE = 0.5  # rad of a position target per unit of action, or a quarter of the joint's range
+SCALE = 0.5  # rad of a position target per unit of action, or a quarter of the joint's or target's range
 NO_ROTOR = 0.01  # kg·m² for PD targets where the file has no inertia of rotors: assumed
 FALLEN_HEIGHT, FALLEN_UP = 0.5, 0.3  # share of the standing height, world z of the up axis
 LEAST_HEIGHT = 0.01  # share of the width: a base at the ground stands no higher than one that has fallen
@@ -134,7 +134,8 @@ def _complete(drive: Drive, inertia: float, load: float, kind: int) -> Drive:
         kp = drive.kp or min(HOLDS * stiff, drive.effort / REACH if drive.effort else np.inf)
         rotor = drive.armature or (0.0 if drive.kp else NO_ROTOR)
         damping = max(2 * np.sqrt(kp * (inertia + rotor - drive.armature)), DAMPED * kp)
-        span = drive.high - drive.low
+        spans = (drive.high - drive.low, drive.target_high - drive.target_low)
+        span = min(filter(None, spans), default=0.0)
         changes = {
             "kp": kp, "kd": drive.kd or damping, "armature": rotor,
             "scale": drive.scale or (min(SCALE, span / 4) if span else SCALE),

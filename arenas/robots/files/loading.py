@@ -1,7 +1,7 @@
 """Robots from files as values, with ANYmal's proprioception and action: their motion, and all driven joints.
 
-A unit of action moves a position target by the drive's `scale` from home, sets a velocity target, or is a torque; it is
-never clipped, the joints' efforts are.
+A unit of action moves a position target by the drive's `scale` from home, sets a velocity target, or is a torque. The
+action is not clipped, but targets are where the drive has a range of them, and so are the joints' efforts.
 """
 
 from collections.abc import Callable
@@ -36,6 +36,8 @@ class Gains:
     effort: np.ndarray  # infinite without a limit
     offset: np.ndarray  # command of the zero action: home of position targets, else 0
     direct: np.ndarray  # 1 where the command is a torque
+    low: np.ndarray  # of commands; infinite without a limit
+    high: np.ndarray
 
     @classmethod
     def of(cls, robot: RobotFile) -> "Gains":
@@ -46,7 +48,13 @@ class Gains:
         torque = np.array([drive.control == "torque" for drive in drives], np.float32)
         scale, kp, kd = (np.array([getattr(d, key) for d in drives], np.float32) for key in ("scale", "kp", "kd"))
         effort = np.array([drive.effort or np.inf for drive in drives], np.float32)
-        return cls(home, scale, kp * position, kd * (1 - torque), effort, home * position, torque)
+        ranges = [(d.target_low, d.target_high) if d.target_low or d.target_high else (-np.inf, np.inf) for d in drives]
+        low, high = np.array(ranges, np.float32).T
+        return cls(home, scale, kp * position, kd * (1 - torque), effort, home * position, torque, low, high)
+
+    def command(self, action: Array) -> Array:
+        """Return the commands (joints,) of an action: targets, or torques."""
+        return jnp.clip(jnp.asarray(self.offset) + self.scale * action, self.low, self.high)
 
     def torques(self, angles: Array, speeds: Array, command: Array) -> Array:
         """Return the torques (joints,) in N·m that the motors apply; all arguments (joints,)."""
@@ -80,7 +88,7 @@ def robot_of(settings: RobotFile) -> Robot:
         actuators=tuple(settings.drives),
         rest_height=settings.height,
         rest=tuple(map(float, gains.home)),
-        command=lambda action: jnp.asarray(gains.offset) + gains.scale * action,
+        command=gains.command,
         proprioception=_sensing(gains),
         fallen=lambda pose: (pose[2] < settings.fall_height) | (up_z(pose[3:]) < settings.fall_up),
         scripts={"idle": idle_script(count), "random": random_script(count)},

@@ -30,6 +30,14 @@ class Drive:
     low: float = 0.0  # range of the joint; both 0: no limit
     high: float = 0.0
     armature: float = 0.0  # kg·m², the motor's inertia seen at the joint
+    target_low: float = 0.0  # range of position and velocity targets; both 0: no limit
+    target_high: float = 0.0
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its settings, without a range of targets where there is none, as in robot files of earlier versions."""
+        free = () if self.target_low or self.target_high else ("target_low", "target_high")
+        return {key: value for key, value in asdict(self).items() if key not in free}
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,8 @@ class RobotFile:
         The model decides `planar`, and the arena's scene, which counts too, has `ls_iterations`.
         """
         apart = {"folder", "file", "model", "contacts", "rows", "width", "name", "planar", "ls_iterations"}
-        return json.dumps({key: value for key, value in asdict(self).items() if key not in apart})
+        drives = {name: drive.settings for name, drive in self.drives.items()}
+        return json.dumps({k: v for k, v in (asdict(self) | {"drives": drives}).items() if k not in apart})
 
 
 def torque_driven(robot: RobotFile) -> RobotFile:
@@ -81,7 +90,7 @@ def torque_driven(robot: RobotFile) -> RobotFile:
         if not drive.effort:
             raise RobotError(f"robot {robot.name}: joint {name} has no largest torque; set effort in its robot file")
     drives = {
-        name: replace(drive, control="torque", scale=drive.effort, kp=0.0, kd=0.0)
+        name: replace(drive, control="torque", scale=drive.effort, kp=0.0, kd=0.0, target_low=0.0, target_high=0.0)
         for name, drive in robot.drives.items()
     }
     return replace(robot, name=f"{robot.name}-torque", drives=drives)
@@ -132,7 +141,7 @@ rows = {robot.rows}
 
 # control: position (target = home + scale * action), velocity (target = scale * action), torque (scale * action).
 # rad, rad/s, N·m; kp N·m/rad; kd N·m·s/rad; effort: the most torque, 0: no limit; low, high: range, both 0: no limit;
-# armature kg·m².
+# armature kg·m²; target_low, target_high: range of position and velocity targets, left out: no limit.
 [joints]
 {joints}
 """
@@ -182,6 +191,9 @@ def _check(robot: RobotFile, path: Path) -> None:
     for name, drive in robot.drives.items():
         if drive.low > drive.high:
             raise RobotError(f"{path}: joint {name}: low = {drive.low:g} is above high = {drive.high:g}")
+        if drive.target_low > drive.target_high:
+            lowest, highest = f"target_low = {drive.target_low:g}", f"target_high = {drive.target_high:g}"
+            raise RobotError(f"{path}: joint {name}: {lowest} is above {highest}")
         if min(drive.kp, drive.kd, drive.effort, drive.armature) < 0:
             raise RobotError(f"{path}: joint {name}: kp, kd, effort and armature must be at least 0")
         if (drive.control == "position" and drive.kp == 0) or (drive.control == "velocity" and drive.kd == 0):
@@ -193,7 +205,7 @@ def _check(robot: RobotFile, path: Path) -> None:
 
 
 def _inline(drive: Drive) -> str:
-    return "{ " + ", ".join(f"{key} = {_text(value)}" for key, value in asdict(drive).items()) + " }"
+    return "{ " + ", ".join(f"{key} = {_text(value)}" for key, value in drive.settings.items()) + " }"
 
 
 def _text(value: Any) -> str:

@@ -217,6 +217,7 @@ def _left_out(spec: mujoco.MjSpec, model: mujoco.MjModel, base: int) -> Iterator
     low, high = model.actuator_ctrlrange.reshape(-1, 2).T
     if lopsided := int(np.sum(motors & (abs(low + high) > 1e-6 * (high - low)))):
         yield f"the unequal control range of {_count(lopsided, 'motor')}: both ways as the wider one"
+    yield from _of_contact_and_base(model, base)
     forced = [range_ for limited, range_ in zip(model.actuator_forcelimited, model.actuator_forcerange, strict=True)
               if limited]  # fmt: skip
     forced += [
@@ -224,6 +225,21 @@ def _left_out(spec: mujoco.MjSpec, model: mujoco.MjModel, base: int) -> Iterator
     ]
     if unequal := sum(abs(low + high) > 1e-6 * (high - low) for low, high in forced):
         yield f"{_count(unequal, 'unequal range')} of force: both ways as the wider one"
+
+
+def _of_contact_and_base(model: mujoco.MjModel, base: int) -> Iterator[str]:
+    """Yield, in words, the settings of contacts and of the base's joints that the robot does without."""
+    mine = model.body_rootid[model.geom_bodyid] == base
+    touching = mine & ((model.geom_contype | model.geom_conaffinity) != 0)
+    if margins := int(np.sum(touching & ((model.geom_margin != 0) | (model.geom_gap != 0)))):
+        yield f"the margin of {_count(margins, 'geom')}, which touch at a distance of 0 here"
+    if mixes := int(np.sum(touching & (model.geom_solmix != 1))):
+        yield f"solmix of {_count(mixes, 'geom')}, all of which weigh alike here"
+    at = slice(model.body_dofadr[base], model.body_dofadr[base] + model.body_dofnum[base])
+    joints = slice(model.body_jntadr[base], model.body_jntadr[base] + model.body_jntnum[base])
+    held = [model.dof_damping[at], model.dof_armature[at], model.dof_frictionloss[at], model.jnt_stiffness[joints]]
+    if any(np.any(each) for each in held):
+        yield "damping, armature, friction and springs of the base, which moves freely"
 
 
 def _count(number: int, one: str, many: str | None = None) -> str:
