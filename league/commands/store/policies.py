@@ -15,7 +15,7 @@ from league.snapshots.exports.program_export import SUFFIX, Format, programs, st
 from league.snapshots.model_card import card
 from league.snapshots.programs import exporting
 from league.snapshots.programs.kinds import kind_of
-from league.snapshots.transfer.arena_transfer import describe_transfer, refitted
+from league.snapshots.transfer.arena_transfer import as_played, describe_transfer, refitted
 from matchmaking.ratings.ladder import Ladder
 from storage.blobs.files import new_file, require_file_name
 
@@ -77,7 +77,8 @@ def export(args: list[str]) -> int:
         policy, rated = _policy(options, league)
         path = Path(str(options.output)) if options.output else Path(f"{policy.about['name']}.safetensors")
         require_file_name(path)
-        files = programs(policy, stem(path), formats)
+        played = as_played(league, policy)
+        files = programs(played.policy, stem(path), formats)
         path = stem(path).with_name(f"{stem(path).name}.safetensors") if formats else path
         page = Path(options.card) if options.card is not None else path.with_name(f"{path.name}.md")
         if page.absolute() in {each.absolute() for each in (path, *files)}:
@@ -85,7 +86,8 @@ def export(args: list[str]) -> int:
         by_agent: dict[int, list[str]] = {}
         for file, (number, _) in files.items():
             by_agent.setdefault(number, []).append(file.name)
-        text = card(league, policy.about, path.name, rated) + interface.section(policy, path.name, by_agent)
+        end = interface.section(policy, path.name, by_agent, played)
+        text = card(league, policy.about, path.name, rated) + end
         with ExitStack() as opened:
             opened.enter_context(new_file(page)).write(text.encode())
             opened.enter_context(new_file(path)).write(data := policy.to_bytes())
@@ -94,6 +96,8 @@ def export(args: list[str]) -> int:
     whose = f"{policy.about['name']} of league {policy.about['league']}"
     beside = f", {', '.join(map(str, files))}" if files else ""
     print(f"Wrote {whose} to {path} ({len(data):,} bytes){beside}, card {page}.")
+    if formats and played.note:
+        print(played.note)
     return 0
 
 

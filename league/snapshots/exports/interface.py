@@ -1,6 +1,5 @@
 """Inputs and outputs of a frozen policy, for its model card: units, ranges, rates, and a few lines of NumPy."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +8,11 @@ import numpy as np
 from arenas.description import Outline, Part, with_indices
 from arenas.rosters import bare
 from dashboards.untrusted_text import visible
-from league.config import experiment as configuration
 from league.snapshots.exports.networks import memory_units, noise_size
 from league.snapshots.exports.numpy_export import numpy_lines
 from league.snapshots.policy_file import Policy
+from league.snapshots.transfer.arena_transfer import Played
+from league.snapshots.transfer.home_arena import described_arena
 
 if TYPE_CHECKING:
     from arenas.arena import Arena
@@ -21,7 +21,7 @@ DEVIATIONS = 2.0  # beside the mean, of the range that a card tells
 UNNAMED = "The meaning of its numbers is not known here: "
 
 
-def section(policy: Policy, file: str, programs: Mapping[int, Sequence[str]]) -> str:
+def section(policy: Policy, file: str, programs: Mapping[int, Sequence[str]], played: Played) -> str:
     """Return the end of a model card, as Markdown.
 
     The units and meanings of numbers come from the arena, which is built only for a card of programs: it takes seconds.
@@ -30,13 +30,15 @@ def section(policy: Policy, file: str, programs: Mapping[int, Sequence[str]]) ->
         policy: the policy.
         file: the name of its safetensors file.
         programs: by agent, the names of the ONNX and TorchScript files that were written beside it.
+        played: the policy as its league plays it.
     """
     learnt = (policy.about["arena"] or {}).get("arena")
     command = f", and `league arenas {visible(learnt)}` tells it" if learnt else ""
     arena, why = None, f"`league export --onnx` writes a card with it{command}."
     if programs:
-        arena, why = _arena(policy.about["settings"])
-    blocks = ["## What it sees and does"]
+        arena, error = described_arena(policy.about["settings"])
+        why = f"its arena cannot be built from its settings ({visible(error)})."
+    blocks = ["## What it sees and does", played.note]
     if arena is None:
         blocks.append(UNNAMED + why)
     else:
@@ -49,18 +51,8 @@ def section(policy: Policy, file: str, programs: Mapping[int, Sequence[str]]) ->
         blocks += [f"### Agent {number}, {agent['kind']}", _ends(agent, programs.get(number, ()))]
         if arena is not None:
             blocks += [_table("it sees", sees, _seen(own)), _table("it does", acts, _done(agent)), _range(own)]
-        blocks += _code(agent, number, file)
+        blocks += _code(agent, number, file, played.silenced)
     return "\n" + "\n\n".join(filter(None, blocks)) + "\n"
-
-
-def _arena(settings: str) -> tuple["Arena | None", str]:
-    """Build the arena of a league's settings; else the reason why not."""
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # nothing is simulated, and opening a GPU would take seconds
-    try:
-        return configuration.loads(settings).arena.build(engine="c", threads=1), ""
-    except (Exception, SystemExit) as error:  # the arena may be a stranger's file
-        first = next(iter(str(error).splitlines()), "") or type(error).__name__
-        return None, f"its arena cannot be built from its settings ({visible(first)})."
 
 
 def _parts(
@@ -135,10 +127,10 @@ def _normalises(own: Mapping[str, np.ndarray]) -> bool:
     return bool(own["trunk.observation_clip"] < 1e30)
 
 
-def _code(agent: Mapping[str, Any], number: int, file: str) -> Iterator[str]:
+def _code(agent: Mapping[str, Any], number: int, file: str, silenced: bool) -> Iterator[str]:
     """Yield the policy in NumPy; of one over skills, that its programs are the way to run it."""
     if "over" in agent:
         yield "It acts over skills, which the safetensors file holds with it; run its ONNX or TorchScript file."
         return
     yield "The same in NumPy, from the safetensors file:"
-    yield "\n".join(["```python", *numpy_lines(agent, number, file), "```"])
+    yield "\n".join(["```python", *numpy_lines(agent, number, file, silenced), "```"])

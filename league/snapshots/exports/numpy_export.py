@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from agents.policy.constant_inputs import CONSTANT
 from agents.settings import SQUASH_EDGE, VARIANCE_FLOOR
 
 _ACTIVATION = {
@@ -16,7 +17,7 @@ _LAYER_NORM = (
 )
 
 
-def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
+def numpy_lines(agent: Mapping[str, Any], number: int, file: str, silenced: bool = False) -> list[str]:
     """Return Python that defines `act` for one agent: from observations (n, obs) to actions (n, act).
 
     With `noise` of standard normal numbers it explores, as in the league. A recurrent one also takes its memory (n,
@@ -26,6 +27,7 @@ def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
         agent: its description, see `league.snapshots.exports.networks.agents_of`.
         number: its number in the roster.
         file: the safetensors file of the policy.
+        silenced: whether it acts as in an arena where it did not learn (`agents.policy.constant_inputs`).
     """
     units, normed = agent.get("recurrent", 0), agent["layer_norm"]
 
@@ -34,6 +36,7 @@ def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
         "import numpy as np",
         "from safetensors.numpy import load_file",
         f"p = {{k.partition('/')[2]: v for k, v in load_file({file!r}).items() if k.startswith('{number}/')}}",
+        *(_silencing_lines(agent) if silenced else []),
         *([_LAYER_NORM] if normed else []),
         f"def act(x, {'h, ' if units else ''}noise=0.0):",
         *(["    seen = x"] if agent.get("entities") else []),
@@ -60,6 +63,21 @@ def numpy_lines(agent: Mapping[str, Any], number: int, file: str) -> list[str]:
     if agent["squash"] is not None:
         answer = f"p['squash'] * np.clip(np.tanh(u / p['squash']), -{SQUASH_EDGE}, {SQUASH_EDGE})"
     return [*lines, f"    u = {drawn}", f"    return {answer}{', h' if units else ''}"]
+
+
+def _silencing_lines(agent: Mapping[str, Any]) -> list[str]:
+    """Return the lines after which constant inputs have no effect (`agents.policy.constant_inputs`)."""
+    sets = agent.get("entities")
+    first, own = "p['trunk.hidden.0.weight']", "still[p['trunk.own']]" if sets else "still"
+    return [
+        f"still = p['trunk.observation_var'] < {CONSTANT}  # inputs that never moved where it learnt",
+        "p['trunk.observation_var'] = np.where(still, np.float32(1), p['trunk.observation_var'])",
+        *([f"own = np.pad({own}, (0, {first}.shape[1] - len({own})))"] if sets and not agent["layer_norm"] else []),
+        *([f"{first} = np.where({'own' if sets else own}, 0, {first})"] if not agent["layer_norm"] else []),
+        *([f"for e in (f'trunk.entities.{{i}}.' for i in range({len(sets)})):"] if sets else []),
+        *(["    w, rests = e + 'layers.0.weight', still[p[e + 'index']].all(0)"] if sets else []),
+        *(["    p[w] = np.where(rests, 0, p[w])"] if sets else []),
+    ]
 
 
 def _entity_lines(agent: Mapping[str, Any]) -> list[str]:

@@ -9,17 +9,19 @@ another speed or angle: `changed_actions` tells of it.
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from agents.policy import entity_places
-from agents.policy.constant_inputs import is_constant
+from agents.policy.constant_inputs import is_constant, silence_constant_inputs
 from arenas.description import Part
 from arenas.rosters import bare, matching_roster, roster_agents
+from dashboards.untrusted_text import visible
 from league.config import experiment as configuration
 from league.queries.query import Open
 from league.snapshots.policy_file import ExchangeError, Policy, arena_name, bring_in, find, read, trained
+from league.snapshots.transfer.home_arena import described_arena
 from storage.records import Snapshot
 
 if TYPE_CHECKING:
@@ -29,6 +31,41 @@ if TYPE_CHECKING:
 def elsewhere(snapshot: Snapshot, arena: "Arena") -> bool:
     """Return whether a policy learnt in an arena with other rules or bodies; False if its arena is not known."""
     return snapshot.arena is not None and snapshot.arena.config_hash != arena.config_hash
+
+
+class Played(NamedTuple):
+    """A policy as a league plays it."""
+
+    policy: Policy
+    silenced: bool  # whether inputs that were constant where it learnt are ignored
+    note: str  # about them; empty if it plays as it learnt
+
+
+def as_played(league: Open, policy: Policy) -> Played:
+    """Return a policy of a league with the arrays with which it plays there, as `league.snapshots.codec.thaw` does.
+
+    To know whether it learnt under other rules, the league's arena is built, which takes a second or two, unless all
+    its inputs moved. Where the arena cannot be built the policy stays as it is.
+    """
+    learnt, numbers = policy.about["arena"], range(len(policy.about["agents"]))
+    own = [{k.removeprefix(f"{i}/"): v for k, v in policy.arrays.items() if k.startswith(f"{i}/")} for i in numbers]
+    silent = {f"{i}/{k}": v for i, each in enumerate(own) for k, v in silence_constant_inputs(each).items()}
+    if learnt is None or all(np.array_equal(silent[name], array) for name, array in policy.arrays.items()):
+        return Played(policy, False, "")
+    here, title = arena_name(league), f"league {league.league}"
+    settings = league.store.league(league.league).config
+    arena, error = described_arena(settings) if here else (None, "its settings name none")
+    if arena is None:
+        note = f"Whether it learnt under the rules of {title} is not known: the league's arena cannot be built here"
+        return Played(policy, False, f"{note} ({visible(error)}): all files are of the policy as it learnt.")
+    if arena.config_hash == learnt["config_hash"]:
+        return Played(policy, False, "")
+    other = "under other rules" if learnt["arena"] == here else f"and {title} plays {here}"
+    note = (
+        f"It learnt in {learnt['arena']}, {other}: as in the matches of {title}, inputs that never moved there have no"
+        " effect in ONNX, TorchScript and the lines of NumPy; the safetensors file has the policy as it learnt."
+    )
+    return Played(policy._replace(arrays=silent), True, note)
 
 
 def describe_transfer(league: Open, policy: Policy) -> str:

@@ -1,6 +1,7 @@
-"""The arena in which a policy learnt, as far as its settings can be built here: what its agents observed there."""
+"""Arenas built from the settings of leagues to be described: in which a policy learnt, and what it observed there."""
 
-from functools import cache
+import os
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from arenas.description import Part
@@ -26,6 +27,20 @@ class HomeTeam(NamedTuple):
     config_hash: str  # of the arena as it is built now
     interval: float  # s between two decisions
     agents: tuple[HomeAgent, ...]
+
+
+def described_arena(settings: str) -> tuple["Arena | None", str]:
+    """Return the arena of a league's settings, for its description alone; else the first line of the reason why not."""
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # nothing is simulated, and opening a GPU would take seconds
+    try:
+        return _built(settings), ""
+    except (Exception, SystemExit) as error:  # the arena may be a stranger's file
+        return None, next(iter(str(error).splitlines()), "") or type(error).__name__
+
+
+@lru_cache(maxsize=2)  # of a league, and of a policy that learnt elsewhere: seconds each
+def _built(settings: str) -> "Arena":
+    return experiment.loads(settings).arena.build(engine="c", threads=1)
 
 
 @cache

@@ -18,6 +18,7 @@ from agents.policy.constant_inputs import silence_constant_inputs
 from agents.policy.jax_policy import Params, decide, mean_action, memory_size, policy_params, stack_policies
 from agents.policy.networks import Actor
 from agents.policy.skill_arrays import Skill, skill_arrays
+from agents.policy.skills import skilled_actions
 from agents.rollout.command_clock import at_command_clock
 from agents.rollout.metrics import rollout_metrics
 from agents.rollout.new_worlds import make_reset
@@ -117,6 +118,26 @@ def test_a_shift_of_zero_is_the_skill_as_it_is():
         memory=jnp.zeros((WORLDS, 3)),
     )
     np.testing.assert_array_equal(found.actions, mean(skill, observations))
+
+
+@pytest.mark.parametrize("skills", [1, 2])
+def test_in_another_arena_skills_ignore_what_was_constant_unless_it_is_commanded(skills):
+    before = {name: np.array(array) for name, array in policy(skills=skills, blend=True).items()}
+    for network in (f"skill.{i}." for i in range(skills)):
+        before[f"{network}trunk.observation_var"][[1, 3, 5]] = 1e-9  # two that it observes, and a command
+        before[f"{network}trunk.observation_mean"][[1, 3]] = 0.5
+    after = silence_constant_inputs(before)
+    still = np.isin(np.arange(SEES), [1, 3])
+    rests = np.where(still, np.float32(0.5), seen(1)[0])
+    moved = rests + still * seen(2)[1]
+    choice = np.asarray(jax.random.normal(jax.random.key(1), (WORLDS, before["mean.bias"].size)), np.float32)
+
+    def acts(own, observations) -> np.ndarray:
+        return np.asarray(skilled_actions(policy_params(own), jnp.asarray(observations), jnp.asarray(choice), mean))
+
+    np.testing.assert_allclose(acts(after, rests), acts(before, rests), atol=1e-5)
+    np.testing.assert_allclose(acts(after, moved), acts(before, rests), atol=1e-5)
+    assert np.abs(acts(before, moved) - acts(before, rests)).max() > 0.1
 
 
 def test_of_several_skills_the_best_scored_acts_and_blended_ones_share():

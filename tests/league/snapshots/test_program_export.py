@@ -11,6 +11,7 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
+from agents.policy.constant_inputs import silence_constant_inputs
 from agents.policy.host_policy import HostPolicy
 from agents.policy.jax_policy import policy_params, stack_policies
 from agents.policy.networks import Actor
@@ -109,9 +110,9 @@ def by_torchscript(own, folder):
     return act
 
 
-def by_numpy(own, folder):
+def by_numpy(own, folder, silenced=False):
     save_file({f"0/{name}": array for name, array in own.items()}, folder / "x.safetensors")
-    lines, names = numpy_lines(described(own), 0, str(folder / "x.safetensors")), {}
+    lines, names = numpy_lines(described(own), 0, str(folder / "x.safetensors"), silenced), {}
     exec("\n".join(lines), names)
 
     def act(seen, noise, memory):
@@ -141,6 +142,22 @@ def test_an_exported_policy_acts_as_in_the_league_over_whole_episodes(taken, pol
             actions, memory = act(seen, noise, memory)
             np.testing.assert_allclose(actions, done, atol=1e-5)
     assert np.abs(episodes.done).max() > 1
+
+
+@pytest.mark.parametrize("still", [[0], [1], [0, 1]])
+def test_lines_for_another_arena_act_as_the_policy_does_there(still, policies, tmp_path):
+    """Whatever of an observation was constant: a number of its own, a member of a set, a whole set."""
+    rng = np.random.default_rng(0)
+    for own in policies:
+        own = {**own, "trunk.observation_var": own["trunk.observation_var"].copy()}
+        own["trunk.observation_var"][still] = 1e-8
+        seen, noise = (rng.normal(size=(16, size)).astype(np.float32) for size in (2, 1))
+        memory = rng.normal(size=(16, described(own).get("recurrent", 0))).astype(np.float32)
+        wanted = by_onnx(silence_constant_inputs(own), tmp_path)(seen, noise, memory)
+        found = by_numpy(own, tmp_path, silenced=True)(seen, noise, memory)
+        for each, other in zip(found, wanted, strict=True):
+            np.testing.assert_allclose(each, other, atol=1e-5)
+        assert np.abs(found[0] - by_numpy(own, tmp_path)(seen, noise, memory)[0]).max() > 0.01
 
 
 def test_policies_that_left_and_came_back_play_the_same_episodes(arena, policies, episodes, tmp_path):
