@@ -56,6 +56,14 @@ def other_settings(store: Store, config: Config) -> list[str]:
     return [key for key in differ if key.partition(".")[0] not in MAY_CHANGE]
 
 
+def begun_otherwise(store: Store, config: Config) -> str:
+    """Return a line about a league that learnt otherwise than `config` says; empty for any other."""
+    if not (other := other_settings(store, config)):
+        return ""
+    what = f"{', '.join(other[:3])}{', ...' if len(other) > 3 else ''}"
+    return f"it was begun with another {what}: give the sweep another name, or remove the league"
+
+
 def flat_settings(text: str) -> dict[str, Any]:
     """Return a league's settings by dotted key; empty for invalid text."""
     try:

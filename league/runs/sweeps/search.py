@@ -13,7 +13,7 @@ from typing import Any
 from league.config.schema import ConfigError
 from league.queries.query import Open
 from league.runs.sweeps.objective import objective, too_early
-from league.runs.sweeps.run_state import flat_settings, run_state
+from league.runs.sweeps.run_state import begun_otherwise, flat_settings, run_state
 from league.runs.sweeps.sweep_file import Sweep, SweepRun
 from league.state.curriculum_stage import at_work
 from storage.store import Store
@@ -22,7 +22,11 @@ DIGITS = 3  # of a searched number: its run has it in its name
 
 
 class Search:
-    """The search of one sweep. Raises ConfigError if Optuna is not installed."""
+    """The search of one sweep.
+
+    Raises ConfigError if Optuna is not installed, or if a league of the sweep was begun with other settings than those
+    that are searched.
+    """
 
     def __init__(self, sweep: Sweep, store: str):
         try:
@@ -34,10 +38,11 @@ class Search:
         self._optuna, self.sweep, self._where = optuna, sweep, store
         self.distributions = self._distributions()
         self.study = optuna.create_study(direction="maximize")
+        self._unfinished = self._earlier()
 
     def rounds(self, parallel: int) -> Iterator[list[tuple[Any, list[SweepRun]]]]:
         """Yield the next trials with their runs, some at a time; call `tell` of each before the next round."""
-        for params in self._earlier():
+        for params in self._unfinished:
             self.study.enqueue_trial(params)
         seed = self.sweep.settings.seeds[0] + len(self.study.trials)  # else a later call would ask for the same points
         self.study.sampler = self._optuna.samplers.TPESampler(seed=seed)
@@ -102,10 +107,17 @@ class Search:
         return found
 
     def _earlier(self) -> list[dict[str, Any]]:
-        """Add the finished trials of the store to the study, and return the parameters of the unfinished ones."""
+        """Add the finished trials of the store to the study, and return the parameters of the unfinished ones.
+
+        Raises ConfigError for a league with other settings: its objective says nothing about those of this search.
+        """
         unfinished = []
         for params in self._stored():
             runs = self.sweep.of_cell(self._cell(params))
+            for run in runs:
+                with Store.open(self._where, blobs=run.config.storage.blobs) as store:
+                    if other := begun_otherwise(store, run.config):
+                        raise ConfigError(("sweep", "name"), f"league {run.name}: {other}")
             values = [self._value(run) for run in runs]
             if any(value is None for value in values):
                 unfinished.append(params)
@@ -139,8 +151,8 @@ class Search:
         return found
 
     def _value(self, run: SweepRun) -> float | None:
-        """Return the objective of a run that has finished; None otherwise."""
+        """Return the objective of a run that has finished; None otherwise, and for one that has other settings."""
         with Store.open(self._where, blobs=run.config.storage.blobs) as store:
-            if run_state(store, run.config) != "finished":
+            if run_state(store, run.config) != "finished" or begun_otherwise(store, run.config):
                 return None
             return objective(Open(store, at_work(store, run.name)), self.sweep.settings.objective)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from league.config.schema import ConfigError
 from league.runs.child_run import ChildRun, RunError
-from league.runs.sweeps.run_state import other_settings, run_state
+from league.runs.sweeps.run_state import begun_otherwise, run_state
 from league.runs.sweeps.sweep_file import SweepRun
 from league.state.curriculum_stage import at_work
 from league.state.liveness import leader
@@ -74,7 +74,7 @@ class SweepWork:
 
     def _begin(self, run: SweepRun) -> None:
         with Store.open(self._where, create=True, blobs=run.config.storage.blobs) as store:
-            state, other = run_state(store, run.config), other_settings(store, run.config)
+            state, other = run_state(store, run.config), begun_otherwise(store, run.config)
         if state == "finished" and not other:
             self.outcome.finished.append(run.name)
             return
@@ -83,8 +83,7 @@ class SweepWork:
             self._report(f"{run.name} is run by another process")
             return
         if other:
-            what = f"{', '.join(other[:3])}{', ...' if len(other) > 3 else ''}"
-            self._failed(run, f"it was begun with another {what}: give the sweep another name, or remove the league")
+            self._failed(run, other)
             return
         slot = next(n for n in range(self._parallel) if n not in self._running)
         child = ChildRun(self._where, run.config, environment=device_of(slot, self._parallel))

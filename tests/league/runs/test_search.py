@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from league.config.experiment import dumps
 from league.queries.query import Open
 from league.runs.sweeps import search, sweep_file
 from league.runs.sweeps.objective import objective, too_early
-from storage.records import Checkpoint
+from storage.records import Checkpoint, League
 from storage.store import Store
 from tests.league.conftest import said
 from tests.league.leagues import C, filled, finish, match, player, snapshot
@@ -52,6 +53,19 @@ def test_a_dry_run_says_what_is_searched(folder, capsys):
     code, out, _ = said(capsys, "sweep", "search.toml", "--dry-run")
     assert code == 0
     assert "searches 1 points of learner.lr from 0.0001 to 0.1, learner.epochs from 1 to 3" in out
+
+
+def test_a_search_stops_where_a_league_was_begun_with_other_settings(folder, capsys):
+    pytest.importorskip("optuna")
+    cell = {"training.opponents.kind": "latest", "learner.lr": 0.00276, "learner.epochs": 2}  # lists before ranges
+    (run,) = sweep_file.read(Path("search.toml")).of_cell(cell)
+    kept = replace(run.config, training=replace(run.config.training, rollout_length=7))
+    with Store.open("league-data", create=True) as store:
+        store.create_league(League(run.name, dumps(kept)))
+    code, out, err = said(capsys, "sweep", "search.toml")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    other = "it was begun with another training.rollout_length: give the sweep another name, or remove the league"
+    assert f"league {run.name}: {other}" in err
 
 
 def test_an_objective_of_snapshots_from_the_first_half_of_training_says_so(tmp_path):

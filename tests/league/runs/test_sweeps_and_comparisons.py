@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from league.commands import cli
+from league.config.schema import ConfigError
 from league.runs.comparison.cells import cells, members
 from league.runs.comparison.curve_bands import Band, unrated
 from league.runs.sweeps import sweep_file
+from league.runs.sweeps.search import Search
 from league.runs.sweeps.sweep_work import SweepWork
 from storage.store import Store
 from tests.league.conftest import said
@@ -111,6 +113,22 @@ def test_a_league_that_was_begun_with_other_settings_is_left_alone(inside):
     other = replace(found, base={**found.base, "learner": {"gamma": 0.5}})
     outcome = SweepWork("league-data", 2, told.append).work_off(other.runs()[:1])
     assert "begun with another learner.gamma" in outcome.failed[NAMES[0]]
+
+
+def test_a_search_counts_no_league_that_was_begun_with_other_settings(inside):
+    pytest.importorskip("optuna")
+    found = sweep_file.read(Path("grid.toml"))
+    found = replace(found, grid={"rating.scripts": [[], ["rock"]]}, settings=replace(found.settings, trials=2))
+    other = replace(found, base={**found.base, "learner": {"gamma": 0.5}})
+    began_first = f"({NAMES[0]}|{NAMES[1]})"  # they ran at the same time
+    search = Search(found, "league-data")
+    assert not list(search.rounds(1))
+    assert search.best() is not None
+    with pytest.raises(ConfigError, match=rf"{began_first}: it was begun with another learner.gamma: give the sweep"):
+        Search(other, "league-data")
+    cell = {"rating.scripts": []}
+    assert search.tell(search.study.ask(search.distributions), found.of_cell(cell)) is not None
+    assert search.tell(search.study.ask(search.distributions), other.of_cell(cell)) is None
 
 
 def test_cells_are_compared_on_one_ladder_whose_matches_are_kept(inside, capsys):
