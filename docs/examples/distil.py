@@ -2,7 +2,8 @@
 
 As in OP3 (Haarnoja et al., 2024, stage 2) without its reward: the student acts, and learns what its teacher would have
 done in what it meets (DAgger; Ross et al., 2011). A teacher is a TorchScript file of `league export --torchscript`; one
-over skills chooses its command anew in each decision.
+over skills chooses its command anew in each decision. One with a GRU is refused: a batch does not tell what it
+remembers of decisions before.
 """
 
 import warnings
@@ -27,6 +28,11 @@ class Distil:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # torch advises torch.export
             teachers = [torch.jit.load(file, map_location=device).eval() for file in files]
+        for file, teacher in zip(files, teachers, strict=True):
+            if getattr(teacher, "memory_size", 0) and not hasattr(teacher, "noise_size"):  # which one over skills has
+                raise ValueError(
+                    f"settings.teachers: {file} has a memory (a GRU); give a teacher without, or one over skills"
+                )
         self.teachers = teachers * (1 if len(teachers) == len(agents) else len(agents))
         self.epochs, sizes = settings.get("epochs", 4), [(a.observation_size, a.action_size) for a in agents]
         architecture = Architecture((settings.get("hidden", 128),) * 2, "elu")
@@ -34,10 +40,10 @@ class Distil:
             torch.manual_seed(seed)
             made = [Actor(*size, architecture, initial_std=0.2).to(device) for size in sizes]
         # With `one`, agents with equal sizes are one network, which learns from all of their teachers.
-        owners = [sizes.index(size) if settings.get("one", False) else i for i, size in enumerate(sizes)]
+        self.owners = [sizes.index(size) if settings.get("one", False) else i for i, size in enumerate(sizes)]
         optimisers = [torch.optim.Adam(each.parameters(), settings.get("lr", 1e-3)) for each in made]
-        self.counts = [0] * len(agents)
-        self.students, self.optimisers = [made[i] for i in owners], [optimisers[i] for i in owners]
+        self.counts = [0] * len(agents)  # of observations, each at the place of the network's first agent
+        self.students, self.optimisers = [made[i] for i in self.owners], [optimisers[i] for i in self.owners]
 
     def learn(self, batch):
         """Take `epochs` steps towards what the teachers would have done; return the shares of it missed before."""
@@ -45,7 +51,7 @@ class Distil:
         for i, (student, teacher) in enumerate(zip(self.students, self.teachers, strict=True)):
             seen = batch.observations[i][batch.alive[i]]
             wanted = _answer(teacher, seen, batch.actions[i].shape[-1])
-            self._renormalise(i, seen)
+            self._renormalise(self.owners[i], seen)
             for epoch in range(self.epochs):
                 error = (student.gaussian(seen).mean - wanted).square().mean()
                 figures |= {f"missed.{i}": (error / wanted.var(0).mean()).item()} if epoch == 0 else {}
