@@ -24,6 +24,8 @@ MODULE = "league.commands.run.child_process"
 """The module that the process runs; above this room, and so only named."""
 BY_CTRL_C = (130, -signal.SIGINT)
 """Exit codes of a process that Ctrl-C ended before it could stop cleanly; the second before Python has its handler."""
+AT_START = 1
+"""Exit code of Python if Ctrl-C ends it while it imports `site`; of a run with a fault too, which then has an answer."""
 TICK = 0.5  # seconds between two looks at the process while it prints nothing
 
 
@@ -104,7 +106,7 @@ class ChildRun:
         self.close()
         if code == 0:
             return
-        if self._interrupted and code in BY_CTRL_C:
+        if self._interrupted and (code in BY_CTRL_C or (code == AT_START and not text)):
             raise KeyboardInterrupt
         found = json.loads(text) if text else {}
         message = found.get("error") or f"the process of the run ended with exit code {code}"

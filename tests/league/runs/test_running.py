@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -36,10 +37,12 @@ def learnt(store) -> bool:
     return any(each.iteration > 2 for each in store.newest_checkpoints("long").values())
 
 
-def test_ctrl_c_before_it_has_begun_is_no_fault_of_the_run(tmp_path):
+@pytest.mark.parametrize("milliseconds", range(0, 60, 5))  # as Python itself starts, imports `site`, and the program
+def test_ctrl_c_before_it_has_begun_is_no_fault_of_the_run(milliseconds, tmp_path):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the process inherits what is ignored
     try:
         child = ChildRun(str(tmp_path), Config())
+        time.sleep(milliseconds / 1000)
         child.interrupt()
         with pytest.raises(KeyboardInterrupt):
             child.end()
