@@ -14,7 +14,6 @@ from storage.recordings.recording import Recording
 FORCE_LENGTH = 1.5  # of a segment for the largest force, in sizes of the largest robot
 FIRST_COLLISION_GROUP = 3  # MuJoCo's own viewer hides geom groups 3 to 5 too
 FEW = 3  # robots of a side that all have a label
-EYE, TARGET = np.array([0.4, -1.6, 1.25]), np.array([0.0, -0.1, 0.0])  # of the viewer's camera, in radii of the scene
 
 
 @dataclass(frozen=True)

@@ -38,9 +38,9 @@ class Shot(NamedTuple):
 
 SHOTS = {
     "sumo-1v1": Shot(("pusher", "centre-holder"), 3, 6.7),
-    "sumo-2v2": Shot(("pusher", "centre-holder"), 2, 6.3),
+    "sumo-2v2": Shot(("pusher", "centre-holder"), 2, 6.0),
     "sumo-by-team": Shot(("pusher", "pusher"), 0, 5.0),
-    "sumo-within-team": Shot(("pusher", "pusher"), 0, 8.2),
+    "sumo-within-team": Shot(("pusher", "pusher"), 0, 6.0),
     "sumo-2v2-anymal": Shot(("pusher", "pusher"), 1, 14.0),
     "sumo-2v2-leatherback": Shot(("pusher", "pusher"), 0, 6.1),
     "sumo-1v1-anymal": Shot(("pusher", "pusher"), 4, 13.0),
@@ -59,7 +59,7 @@ SHOTS = {
     "tag": Shot(("tagger", "tagger", "tagger"), 2, 5.6),
     "gate-race": Shot(("pilot", "cadet"), 0, 1.0),
     "gate-race-4": Shot(("pilot", "pilot", "cadet", "cadet"), 1, 1.2),
-    "pursuit": Shot(("interceptor", "runner"), 0, 6.0),
+    "pursuit": Shot(("interceptor", "runner"), 0, 2.0),
     "swarm": Shot(("dodger", "keeper"), 1, 3.5),
     "soccer-walk": Shot(("seeker",), 2, 16.0),
     "soccer-ball": Shot(("striker",), 0, 5.0),

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from dashboards.errors import ViewerError
-from dashboards.film.raycaster import Camera, Raycaster
+from dashboards.film.raycaster import Raycaster
 from dashboards.identity import MatchPlayer, named_events, shape
-from dashboards.replay import Replay, drawn_markers, replay, visible_geoms
+from dashboards.replay import Replay, drawn_markers, replay
 from dashboards.system.outputs import FILMS, PICTURES, new_output, require_kind
+from dashboards.viewer.camera import Camera, framed_radius
 from dashboards.viewer.panels import TRAIL, grid_spacing
 from dashboards.viewer.scene import MARKER_COLOURS, WHITE, circles
 from storage.recordings.recording import Recording
@@ -55,8 +56,9 @@ class Film:
         self.scene: Replay = replay(recording, players)
         self._markers = drawn_markers(recording, self.scene)
         centre, radius = stage or (_stage(self.scene) if close else (np.zeros(3), self.scene.radius))
-        camera = _camera(self.scene, centre, radius, (SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]))
-        self.camera, self._raycaster = camera, Raycaster(self.scene, camera, grid_spacing(self.scene.radius))
+        radius = framed_radius(self.scene, centre, radius)
+        self.camera = Camera.framing(centre, radius, (SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]))
+        self._raycaster = Raycaster(self.scene, self.camera, grid_spacing(self.scene.radius))
 
     def picture(self, step: int) -> Any:
         """Return a PIL image of a step: the world, the players, and below it time, score and recent events."""
@@ -176,16 +178,6 @@ def _stage(scene: Replay) -> tuple[np.ndarray, float]:
     centre = (at.min(axis=0) + at.max(axis=0)) / 2
     reach = np.linalg.norm(at - centre, axis=1).max() + max(robot.size for robot in scene.robots)
     return np.append(centre, 0.0), min(scene.radius, float(reach))
-
-
-def _camera(scene: Replay, centre: np.ndarray, radius: float, size: tuple[int, int]) -> Camera:
-    """Return the camera on a region, at up to twice the distance where bodies, as they start, would end above it."""
-    model = scene.model
-    geoms = [geom for body in range(1, model.nbody) for kind in visible_geoms(model, body).values() for geom in kind]
-    tops = scene.xpos[0, model.geom_bodyid[geoms]]
-    tops = tops + [0.0, 0.0, 1.0] * (np.linalg.norm(model.geom_pos[geoms], axis=1) + model.geom_rbound[geoms])[:, None]
-    cameras = [Camera.framing(centre, away * radius, size) for away in np.linspace(1.0, 2.0, 11)]
-    return next((camera for camera in cameras if (camera.project(tops)[:, 1] >= 0).all()), cameras[-1])
 
 
 def save_picture(film: Film, path: Path, at_seconds: float) -> None:

@@ -4,66 +4,17 @@ Rays are cast only where a body may be visible: the ground's colour is computed 
 within its bounding sphere. Light comes from far above, with shadows on the ground; there are no reflections.
 """
 
-import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dashboards.replay import EYE, FIRST_COLLISION_GROUP, TARGET, Replay, rgba
+from dashboards.replay import FIRST_COLLISION_GROUP, Replay, rgba
+from dashboards.viewer.camera import Camera
 
-FIELD_OF_VIEW = math.radians(48)  # of the picture's height
 GROUND, GRID, SKY = np.array([[84, 89, 98], [104, 109, 118], [17, 21, 30]], np.float32)
 SUN = np.array([-0.35, -0.45, 0.82])  # towards the light
 AMBIENT, SHADOW = 0.45, 0.62  # factors of a colour without direct light
 _SEEN = np.array([group < FIRST_COLLISION_GROUP for group in range(6)], np.uint8)
-
-
-@dataclass(frozen=True)
-class Camera:
-    """The camera of a picture of `size` (width, height) pixels; lengths in metres."""
-
-    eye: np.ndarray  # (3,)
-    axes: np.ndarray  # (3, 3) right, up, forward
-    size: tuple[int, int]
-
-    @classmethod
-    def framing(cls, centre: np.ndarray, radius: float, size: tuple[int, int]) -> "Camera":
-        """Return the camera that sees everything within `radius` of a centre (3,), in the view direction of `league
-        watch`.
-        """
-        eye, forward = centre + EYE * radius, (TARGET - EYE) / np.linalg.norm(TARGET - EYE)
-        right = np.cross(forward, [0, 0, 1])
-        right /= np.linalg.norm(right)
-        return cls(eye, np.stack([right, np.cross(right, forward), forward]), size)
-
-    @property
-    def focus(self) -> float:
-        """The focal length in pixels: the offset from the middle of a point that is as far sideways as it is ahead."""
-        return self.size[1] / 2 / math.tan(FIELD_OF_VIEW / 2)
-
-    def rays(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return unit vectors (n, 3) through the centres of pixels."""
-        x, y = columns + 0.5 - self.size[0] / 2, self.size[1] / 2 - rows - 0.5
-        ahead = np.stack([x, y, np.full(len(x), self.focus)], axis=-1) @ self.axes
-        return ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
-
-    def ground(self) -> np.ndarray:
-        """Return the ground point (height, width, 2) seen at each pixel, nan for the sky. Pixel rows are horizontal."""
-        w, h = self.size
-        right, up, forward = self.axes
-        row = (h / 2 - np.arange(h) - 0.5)[:, None] * up + self.focus * forward
-        far = np.where(row[:, 2] < -1e-3 * self.focus, -self.eye[2] / row[:, 2], np.nan)[:, None, None]
-        across = (np.arange(w) + 0.5 - w / 2)[None, :, None] * right[:2]
-        return (self.eye[:2] + far * (row[:, None, :2] + across)).astype(np.float32)
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """Return pixel column, pixel row and distance ahead (n, 3) of points (n, 3); the distance is below 0 behind the
-        camera.
-        """
-        right, up, ahead = ((points - self.eye) @ self.axes.T).T
-        scale = self.focus / np.maximum(ahead, 1e-6)
-        return np.stack([self.size[0] / 2 + right * scale, self.size[1] / 2 - up * scale, ahead], axis=-1)
 
 
 class Raycaster:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from dashboards.identity import Colour, MatchPlayer, named_events, shape
-from dashboards.replay import EYE, TARGET, Replay, distances
+from dashboards.replay import Replay, distances
+from dashboards.viewer.camera import EYE, TARGET, framed_radius
 from dashboards.viewer.scene import times
 from storage.recordings.recording import Recording
 
@@ -107,7 +108,7 @@ def blueprint(rr: Any, recording: Recording, scene: Replay, panels: bool = True)
 
 
 def _world(rr: Any, recording: Recording, scene: Replay) -> Any:
-    rrb = rr.blueprint
+    rrb, framed = rr.blueprint, framed_radius(scene, np.zeros(3), scene.radius)
     boundary = rrb.TimeRangeBoundary
     lately = rrb.VisibleTimeRange(
         "sim_time", start=boundary.cursor_relative(seconds=-TRAIL), end=boundary.cursor_relative()
@@ -119,9 +120,7 @@ def _world(rr: Any, recording: Recording, scene: Replay) -> Any:
             rr.new_entity_path(["world", "trails", *robot.agent.split("/")]): rrb.VisibleTimeRanges(lately)
             for robot in scene.robots
         },
-        eye_controls=rrb.EyeControls3D(
-            position=EYE * scene.radius, look_target=TARGET * scene.radius, eye_up=(0.0, 0.0, 1.0)
-        ),
+        eye_controls=rrb.EyeControls3D(position=EYE * framed, look_target=TARGET * framed, eye_up=(0.0, 0.0, 1.0)),
         # Just above the ground, which would hide its lower half.
         line_grid=rrb.LineGrid3D(
             visible=True,

@@ -47,7 +47,7 @@ class Sheet:
     @property
     def picture(self) -> str:
         """The file of its picture, a moment of a match between scripts; empty if it has none, as your own arenas."""
-        return f"{PICTURES}/{self.name}.png" if self.outline.page and ":" not in self.name else ""
+        return f"{PICTURES}/{self.name}.webp" if self.outline.page and ":" not in self.name else ""
 
 
 def outline(settings: "Settings", built: "Arena | None" = None) -> Outline:

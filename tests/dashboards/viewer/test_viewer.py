@@ -13,7 +13,9 @@ from dashboards import viewer
 from dashboards.errors import ViewerError
 from dashboards.identity import COLOURS, MatchPlayer
 from dashboards.replay import Replay, distances, replay
+from dashboards.viewer.camera import framed_radius
 from dashboards.viewer.headless import headless_viewer
+from dashboards.viewer.panels import blueprint
 from tests.dashboards.cars import STEPS, XML, cars
 
 
@@ -259,6 +261,17 @@ def test_show_hands_the_match_to_a_viewer_that_already_runs(match, monkeypatch, 
             "Time line",
         }
     assert (timelines["step"].start, timelines["step"].end) == (0, STEPS - 1)
+
+
+def test_what_starts_high_above_a_small_ring_is_seen_from_farther_away(match):
+    raised = match.qpos.copy()
+    raised[:, 2] += 1.5
+    usual, above = (replay(each) for each in (match, replace(match, qpos=raised)))
+    assert framed_radius(usual, np.zeros(3), usual.radius) == usual.radius
+    worlds = [blueprint(rr, match, each).root_container.contents[0] for each in (usual, above)]
+    eyes = [world.properties["EyeControls3D"].position.as_arrow_array().to_pylist() for world in worlds]
+    away = np.linalg.norm(np.reshape(eyes, (2, 3)), axis=1)
+    assert away[0] < away[1] < 2.01 * away[0]
 
 
 def test_errors_say_what_to_type(match, tmp_path, monkeypatch):

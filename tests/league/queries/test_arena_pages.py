@@ -36,7 +36,7 @@ def test_the_pictures_and_files_that_a_page_names_are_there(file):
     page = arena_pages.ROOT / file
     text = page.read_text("utf-8")
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
-    assert {f"../pictures/arenas/{name}.png" for name in PAGES[file]} <= set(pictures)
+    assert {f"../pictures/arenas/{name}.webp" for name in PAGES[file]} <= set(pictures)
     for picture in pictures:
         assert (page.parent / picture).read_bytes().startswith(BEGINNINGS[Path(picture).suffix])
     files = re.findall(r"`((?:arenas|tests|benchmarks)/[\w/]+\.py)`", text)

@@ -71,7 +71,7 @@ def test_all_about_an_arena(capsys, monkeypatch):
     assert "result reward at the end: +10 for a win, -10 for a loss" in lines
     assert "fall event a robot of the team has fallen" in lines
     assert "--arena.rules.ring 3.0,6.0 Ring radius in metres, drawn uniformly per episode" in lines
-    assert "Its page: docs/arenas/sumo.md, its picture: docs/pictures/arenas/sumo-within-team.png" in lines
+    assert "Its page: docs/arenas/sumo.md, its picture: docs/pictures/arenas/sumo-within-team.webp" in lines
     assert any(line.startswith("50 decisions per second, held for 1 control step of 0.02 s each") for line in lines)
 
 
