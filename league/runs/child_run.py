@@ -25,7 +25,7 @@ MODULE = "league.commands.run.child_process"
 BY_CTRL_C = (130, -signal.SIGINT)
 """Exit codes of a process that Ctrl-C ended before it could stop cleanly; the second before Python has its handler."""
 AT_START = 1
-"""Exit code of Python if Ctrl-C ends it while it imports `site`; of a run with a fault too, which then has an answer."""
+"""Exit code of Python that Ctrl-C ends as it imports `site`; a run that ends with a fault has it too, but answers."""
 TICK = 0.5  # seconds between two looks at the process while it prints nothing
 
 

@@ -7,7 +7,9 @@ A group's training ends when its budget is spent or its players have learnt enou
 `rating.episodes_per_pair` episodes that measure progress: alone in an arena of one team, else against each of its
 initial opponents or of the scripts of `budget.against`. Its score is the mean of those against each, so it does not
 depend on whom it met first or most. An opponent in a match that was set aside for good is not awaited. The best
-snapshot has the highest lower end of the 95 % interval, since the highest of many scores is often due to luck.
+snapshot has the highest lower end of the 95 % interval, since the highest of many scores is often due to luck. There
+all its games count as independent: the interval that is shown takes account of seed pairs, by their variance, of which
+games that were all won have none, so there they would count for less than if one had been drawn.
 """
 
 import math
@@ -23,7 +25,7 @@ from league.scheduling.progress_metrics import budget_opponents
 from league.state.jobs import TrainingTurn, decode, pairs_failed_alone
 from league.state.league_state import Group, LeagueState
 from matchmaking.ratings.ladder import Ladder
-from matchmaking.ratings.scores import Score
+from matchmaking.ratings.scores import Score, wilson
 from matchmaking.roles import Role
 from matchmaking.schedule import LearningCounts, current_phase, remaining
 from storage.records import Checkpoint, Phase, Player, Snapshot
@@ -209,19 +211,23 @@ def _met(
 
 def best(found: Sequence[Rated]) -> Rated | None:
     """Return the snapshot with the highest lower end, the newest of equal ones; None if `found` is empty."""
-    return max(found, key=lambda each: (each.score.low, each.snapshot.iteration), default=None)
+    return max(found, key=lambda each: (_surely(each), each.snapshot.iteration), default=None)
+
+
+def _surely(found: Rated) -> float:
+    """Return what a snapshot scores at least, by which snapshots are compared; a game won more never lowers it."""
+    return float(wilson(found.score.score, found.score.games, 0.95)[0])
 
 
 def why(budget: Budget, quota: int, state: LeagueState, player: Player) -> str | None:
     """Return the evidence that a player has learnt what its budget requires, as a sentence; None without evidence."""
     found = rated(state, player.name, quota, budget.against)
-    top = best(found)
-    if top is None:
+    if not found:
         return None
     asked = budget.success if state.one_team else budget.score
-    if asked is not None and top.score.low > asked:
+    if asked is not None and (top := max(found, key=lambda each: each.score.low)).score.low > asked:
         return str(top)
-    first = max(found, key=lambda each: each.score.low)  # the oldest of equal ones: those after it are no better
+    first = max(found, key=_surely)  # the oldest of equal ones: those after it are no better
     later = sum(each.snapshot.iteration > first.snapshot.iteration for each in found)
     if budget.plateau is not None and first.score.low > HALF and later >= budget.plateau:
         return f"{first}, and none of the {later} snapshots after it is better"
@@ -229,15 +235,24 @@ def why(budget: Budget, quota: int, state: LeagueState, player: Player) -> str |
 
 
 def learnt_enough(config: Config, state: LeagueState, players: Sequence[Player]) -> bool:
-    """Return whether these players have learnt what the budget requires: all by ratings, or all by reward."""
-    budget = config.budget
+    """Return whether these players have learnt what the budget requires: all by ratings, or all by reward.
+
+    Those who never learn are not asked. If nobody learns, nobody has learnt enough.
+    """
+    budget, asked = config.budget, learning(config, players)
     by_rating = budget.by_rating and all(
-        why(budget, config.rating.episodes_per_pair, state, p) is not None for p in players
+        why(budget, config.rating.episodes_per_pair, state, p) is not None for p in asked
     )
-    by_reward = budget.reward is not None and all(
-        state.rewards.get(p.name, -math.inf) >= budget.reward for p in players
-    )
-    return by_rating or by_reward
+    by_reward = budget.reward is not None and all(state.rewards.get(p.name, -math.inf) >= budget.reward for p in asked)
+    return bool(asked) and (by_rating or by_reward)
+
+
+def learning(config: Config, players: Sequence[Player]) -> list[Player]:
+    """Return those of some players who ever learn, by their roles and the schedule."""
+    schedule = config.training.schedule
+    return [
+        p for p in players if config.role(p.role).learns and (schedule.kind != "frozen" or p.team == schedule.learner)
+    ]
 
 
 def handed_on(

@@ -20,7 +20,7 @@ WEAK_BELOW = 0.3
 """AlphaStar: a learner that wins no more often than this meets the opponent's past instead."""
 
 FORGOTTEN_BELOW = 0.7
-"""AlphaStar: a past main player counts as forgotten if the learner wins less often than this."""
+"""AlphaStar: past main players are met again if the learner beats one of them less often than this."""
 
 TOO_STRONG_BELOW = 0.1
 """A main player that is beaten no more often than this is too strong for an exploiter to learn from."""
@@ -134,8 +134,8 @@ def alphastar(
     - 0.35: self-play against the present opponent; if it is beaten in no more than 30 % of games, its past by PFSP
       (variance) instead.
     - 0.15: verification. Exploiters' snapshots by PFSP (squared) if one of them is beaten in less than 30 % of games;
-      otherwise forgotten players: past snapshots of the opponent that are beaten in less than 70 %, by PFSP (squared).
-      Its newest snapshots, as long as each is harder than the one before, are not forgotten but new, and left out.
+      otherwise, if one of them is beaten in less than 70 %, past snapshots of the opponent, by PFSP (squared). Its
+      newest snapshots, as long as each is harder than the one before, are not forgotten but new, and left out.
       Without any of these it is self-play too.
 
     Args:
@@ -227,9 +227,8 @@ def _verification(x: np.ndarray, own: np.ndarray, exploiters: np.ndarray) -> tup
     if exploiter_indices.size and x[exploiter_indices].min() < WEAK_BELOW:
         return _scatter(len(x), exploiter_indices, pfsp(x[exploiter_indices])), "verification against exploiters"
     known = _less_monotonic_end(np.flatnonzero(own), x)
-    forgotten = known[x[known] < FORGOTTEN_BELOW]
-    if forgotten.size:
-        return _scatter(len(x), forgotten, pfsp(x[forgotten])), "verification against forgotten players"
+    if known.size and x[known].min() < FORGOTTEN_BELOW:
+        return _scatter(len(x), known, pfsp(x[known])), "verification against forgotten players"
     return None, "nobody to be verified against"
 
 

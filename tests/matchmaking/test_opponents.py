@@ -151,8 +151,16 @@ def test_exploiters_that_win_are_met_before_the_forgotten():
     assert (found.present, found.past) == (pytest.approx(0.35), pytest.approx(wanted))
     x[3] = 0.3  # no longer beaten in less than 30 %
     wanted = 0.5 * pfsp(np.array(x))
-    wanted[1] += 0.15  # forgotten: the newest, though harder, is beaten
+    wanted[:3] += 0.15 * pfsp(np.array(x[:3]))  # the second is forgotten; none is new, as the third is easier
     assert mixture(x, exploiters=(3, 4)).past == pytest.approx(wanted)
+
+
+def test_if_one_is_forgotten_all_but_the_newest_harder_ones_are_met_again():
+    x = [0.9, 0.8, 0.75, 0.65, 0.72, 0.7]  # the last one is new, as it is harder than the one before
+    found = mixture(x)
+    wanted = 0.5 * pfsp(np.array(x))
+    wanted[:5] += 0.15 * pfsp(np.array(x[:5]))
+    assert (found.present, found.past) == (pytest.approx(0.35), pytest.approx(wanted))
 
 
 def test_alphastars_shares_can_be_chosen_and_always_sum_to_one():

@@ -18,6 +18,7 @@ from league.snapshots.codec import freeze
 from league.snapshots.transfer import warm_start
 from league.snapshots.transfer.warm_start import Source, WarmStart
 from league.state.league_state import LeagueState
+from matchmaking.schedule import Schedule
 from storage.blobs import arrays
 from storage.records import Checkpoint, Match, PairCounts
 from tests.league.leagues import filled, finish, snapshot
@@ -73,6 +74,22 @@ def test_the_best_is_the_surest_and_not_the_luckiest():
     assert found is not None
     assert found.snapshot.name == "blue@2"
     assert str(found) == "blue@2 scores 70 % (65-74 %) against its initial snapshot"
+
+
+def test_a_perfect_record_is_better_than_one_with_a_draw_and_ends_no_worse():
+    def pairs(player: str, won: int, drawn: int) -> Match:
+        counts = PairCounts(ww=won, dw=drawn)
+        return Match("quickstart", KEY, player, "blue@0", 2 * won + drawn, drawn, 0, 0, won + drawn, 0, 0, counts, 1)
+
+    state = after([pairs("blue@1", 64, 0), pairs("blue@2", 63, 1), pairs("blue@4", 64, 0)])
+    one, drawn, _ = rated(state, "blue", quota=128)
+    assert one.score.low < drawn.score.low  # of games that were all won nobody knows how independent they are
+    found = best([one, drawn])
+    assert found is not None
+    assert found.snapshot.name == "blue@1"
+    assert why(Budget(plateau=2), 128, state, PLAYERS[0]) == (
+        "blue@1 scores 100 % (94-100 %) against its initial snapshot, and none of the 2 snapshots after it is better"
+    )
 
 
 BUDGET = Budget(score=0.8, plateau=3, steps=10**9)
@@ -210,6 +227,17 @@ def test_training_goes_on_until_each_player_has_learnt():
     assert ended is not None
     assert ended.startswith("blue@2 scores 90 % (87-93 %) against its initial snapshot, red@4 scores 70 %")
     assert ended.endswith("and none of the 3 snapshots after it is better")
+
+
+def test_nobody_waits_for_players_that_never_learn():
+    config, state = replace(training(), budget=BUDGET), after(played({2: 0.9}))
+    fixed = [PLAYERS[0], replace(PLAYERS[1], role="fixed")]
+    assert learnt_enough(config, state, fixed)
+    assert not learnt_enough(config, state, fixed[1:])
+    frozen = replace(config, training=replace(config.training, schedule=Schedule("frozen", learner=PLAYERS[0].team)))
+    assert learnt_enough(frozen, state, PLAYERS)
+    rewarded = replace(config, budget=Budget(reward=0.5, steps=10**9))
+    assert not learnt_enough(rewarded, state, fixed)
 
 
 def test_an_older_snapshot_is_handed_on_where_the_newest_are_surely_rated_and_no_better():
