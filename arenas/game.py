@@ -42,6 +42,9 @@ class Game(ABC):
     its constructor, and `league check` tests it. Otherwise equal teams count as unlike: sides are not swapped, and each
     team has a ladder of its own."""
 
+    by_turns: bool = False
+    """True if an agent that is not `alive` has not left the game, but waits for its turn."""
+
     def __init__(
         self,
         name: str,

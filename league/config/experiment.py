@@ -215,8 +215,7 @@ def stage(config: Config, number: int) -> Config:
             )
     except ConfigError as error:
         raise parts.of_stage(error, number, config.stages) from None
-    least = [n for n in (made.budget.steps, config.budget.steps) if n is not None]
-    budget = replace(made.budget, steps=min(least, default=None))
+    budget = made.budget.within(config.budget)
     if not last and not budget.ends:
         raise ConfigError(
             (parts.KEY, str(number), "budget"),

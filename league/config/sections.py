@@ -246,6 +246,12 @@ class Budget:
         """Training time in seconds; infinite if there is no bound."""
         return math.inf if self.training_time is None else seconds(self.training_time)
 
+    def within(self, other: "Budget") -> "Budget":
+        """Return this budget with no more steps and no more training time than another one."""
+        steps = [n for n in (self.steps, other.steps) if n is not None]
+        times = [each for each in (self.training_time, other.training_time) if each is not None]
+        return replace(self, steps=min(steps, default=None), training_time=min(times, key=seconds, default=None))
+
     @property
     def window(self) -> int:
         """Least number of iterations over which rewards and successes of training are averaged; 0: none needed."""

@@ -23,10 +23,12 @@ Floats = NDArray[np.float32]
 class WorldEnv(ParallelEnv[str, Any, Any]):
     """One world. Agents are named as in the arena, e.g. `blue/0`; rewards are those of their teams.
 
-    An agent that leaves the game is terminated in the decision in which it leaves, and is in `agents` no more. A game's
-    end terminates all that are left, its time limit truncates them. If physics fails, no result is known: all agents
-    are truncated with reward 0 and see once more what they saw before. The agents of a team whose own robots caused the
-    failure are terminated instead, with the reward `-void_penalty`.
+    An agent that leaves the game is terminated in the decision in which it leaves, and is in `agents` no more. Where
+    agents act by turns (`Game.by_turns`) all stay in `agents` to the end: who is not on turn sees zeros, its action
+    does nothing, and `alive` in its info is False. A game's end terminates all that are left, its time limit truncates
+    them. If physics fails, no result is known: all agents are truncated with reward 0 and see once more what they saw
+    before. The agents of a team whose own robots caused the failure are terminated instead, with the reward
+    `-void_penalty`.
     """
 
     metadata = {"name": "robot_league", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
@@ -73,8 +75,8 @@ class WorldEnv(ParallelEnv[str, Any, Any]):
         key = jax.random.key(int(self._random.integers(arguments.SEEDS)))
         self._state = state = self._shared.world("reset")(key)
         self._seen = seen = _on_host(state)
-        self.agents = [name for name, alive in zip(self.possible_agents, seen.alive, strict=True) if alive]
-        return self._observations(seen), {name: {} for name in self.agents}
+        self.agents = [name for name in self.possible_agents if self._is_in_the_game(seen, name)]
+        return self._observations(seen), {name: self._turn(seen, name) for name in self.agents}
 
     def step(
         self, actions: Mapping[str, Any]
@@ -85,11 +87,11 @@ class WorldEnv(ParallelEnv[str, Any, Any]):
         before, acting = self._seen, list(self.agents)
         self._state = state = self._shared.world("step")(self._state, self._checked(actions))
         self._seen = seen = _on_host(state)
-        alive = dict(zip(self.possible_agents, map(bool, seen.alive), strict=True))
-        self.agents = [] if seen.done else [name for name in acting if alive[name]]
+        left = {name: not self._is_in_the_game(seen, name) for name in acting}
+        self.agents = [] if seen.done else [name for name in acting if not left[name]]
         infos = {name: self._info(seen, name) for name in acting}
         terminated = {
-            name: self._is_guilty(seen, name) or bool(not seen.void and (seen.verdict.terminated or not alive[name]))
+            name: self._is_guilty(seen, name) or bool(not seen.void and (seen.verdict.terminated or left[name]))
             for name in acting
         }
         truncated = {name: bool(seen.done) and not terminated[name] for name in acting}
@@ -123,6 +125,13 @@ class WorldEnv(ParallelEnv[str, Any, Any]):
             for name, shape in shapes.items()
         }
 
+    def _is_in_the_game(self, seen: State, name: str) -> bool:
+        return self.arena.by_turns or bool(seen.alive[self.possible_agents.index(name)])
+
+    def _turn(self, seen: State, name: str) -> dict[str, Any]:
+        """Return whether an agent is on turn, in a game of turns."""
+        return {"alive": bool(seen.alive[self.possible_agents.index(name)])} if self.arena.by_turns else {}
+
     def _is_guilty(self, seen: State, name: str) -> bool:
         """Return whether physics failed in the world because of the agent's team."""
         return bool(seen.void and seen.at_fault[self._team[name]])
@@ -135,7 +144,7 @@ class WorldEnv(ParallelEnv[str, Any, Any]):
         team, verdict = self._team[name], seen.verdict
         rewards = {term: float(values[team]) for term, values in verdict.rewards.items()}
         shapings = {term: float(values[team]) for term, values in verdict.shapings.items()}
-        info: dict[str, Any] = {
+        info: dict[str, Any] = self._turn(seen, name) | {
             "outcome": sum(rewards.values(), 0.0),
             "shaping": sum(shapings.values(), 0.0),
             "rewards": rewards,

@@ -74,7 +74,7 @@ def _in_stages(race: Config, league: str) -> Config:
     alone = {
         "arena": {"teams": 1, "room": teams - 1, "reward": dense},
         "training": {"shaping_steps": 10**12},  # the dense reward stays
-        "budget": {"success": 0.9, "steps": 400_000_000, "training_time": "none"},
+        "budget": {"success": 0.9, "steps": 400_000_000},
     }  # fmt: skip
     racing = {
         "arena": {"reward": {"progress": 1.0}},
@@ -83,8 +83,10 @@ def _in_stages(race: Config, league: str) -> Config:
         # A bonus for entropy lets deviations grow until drones hit the gates. Two seconds ahead, all that 0.99 sees, a
         # crash costs less than a gate passed first is worth.
         "learner": {"entropy_coef": 0.0, "gamma": 0.997},
+        "budget": {"training_time": race.budget.training_time},
     }  # fmt: skip
-    return replace(race, league=league, stages=(Stage("alone", alone), Stage("race", racing)))
+    budget = replace(race.budget, training_time=None)  # one of the league would bound the first stage too
+    return replace(race, league=league, budget=budget, stages=(Stage("alone", alone), Stage("race", racing)))
 
 
 def _race(arena: str) -> Config:

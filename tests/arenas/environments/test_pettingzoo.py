@@ -71,6 +71,32 @@ def test_caught_prey_leaves_the_agents_and_the_rest_play_on(hunt):
     assert infos["predators/0"]["events"] == ["capture"]
 
 
+def test_agents_of_a_game_of_turns_stay_to_its_end_and_say_who_is_on_turn():
+    passes_the_tests_of_pettingzoo("kuhn-poker")
+    env, rng, lengths = arenas.pettingzoo("kuhn-poker"), np.random.default_rng(0), set()
+    for episode in range(30):
+        _, infos = env.reset(seed=episode)
+        decisions, on_turn = 0, [infos[name]["alive"] for name in env.possible_agents]
+        while env.agents:
+            assert env.agents == env.possible_agents
+            assert sum(on_turn) == 1
+            seen, rewards, terminated, truncated, infos = env.step(
+                {name: rng.normal(size=2).astype(np.float32) for name in env.agents}
+            )
+            decisions += 1
+            over = not env.agents
+            assert [*terminated.values(), *truncated.values()] == [over, over, False, False]
+            now = [infos[name]["alive"] for name in env.possible_agents]
+            assert over or now == [not each for each in on_turn]  # in Kuhn poker both act in turn
+            assert over or [bool(np.any(seen[name])) for name in env.possible_agents] == now
+            on_turn = now
+        lengths.add(decisions)
+        won, lost = sorted(rewards.values(), reverse=True)
+        assert won == -lost > 0
+        assert sorted(infos[name]["score"] for name in infos) == [0.0, 1.0]
+    assert lengths == {2, 3}
+
+
 def test_rewards_weigh_the_dense_part_and_name_their_terms():
     env = arenas.pettingzoo(RACE, shaping=0.5)
     env.reset(seed=0)

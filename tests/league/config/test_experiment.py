@@ -7,7 +7,8 @@ import pytest
 from league.config import experiment as config
 from league.config import presets
 from league.config.schema import ConfigError
-from league.config.sections import PlayerSettings, named_players
+from league.config.sections import Budget, PlayerSettings, named_players
+from league.config.stages import Stage
 
 
 @pytest.mark.parametrize("name", presets.PRESETS)
@@ -174,3 +175,22 @@ def test_a_rule_that_is_taken_away_from_an_arena_stays_away():
     rules = dataclasses.replace(by_team.arena.rules, wheel_limit=None)
     changed = dataclasses.replace(by_team, arena=dataclasses.replace(by_team.arena, rules=rules))
     assert config.loads(config.dumps(changed)) == changed
+
+
+def test_steps_and_time_of_the_whole_league_bound_every_stage():
+    stages = (Stage("short", {"budget": {"training_time": "5m", "steps": 10}}), Stage("last", {}))
+    for own, other in ((stages, "20m"), (stages, None)):
+        league = dataclasses.replace(presets.preset("walk"), stages=own, budget=Budget(training_time=other, steps=100))
+        short, last = (config.stage(league, number).budget for number in (0, 1))
+        assert (short.training_time, short.steps) == ("5m", 10)
+        assert (last.training_time, last.steps) == (other, 100)
+    bounded = dataclasses.replace(league, budget=Budget(training_time="30s", steps=4))
+    assert {(b.training_time, b.steps) for b in (config.stage(bounded, n).budget for n in (0, 1))} == {("30s", 4)}
+
+
+@pytest.mark.parametrize("name", ["gate-race", "gate-race-4"])
+def test_a_drone_alone_has_no_bound_of_time_but_one_that_is_given(name):
+    league = presets.preset(name)
+    assert [config.stage(league, number).budget.training_time for number in (0, 1)] == [None, "20m"]
+    given = dataclasses.replace(league, budget=dataclasses.replace(league.budget, training_time="1m"))
+    assert [config.stage(given, number).budget.training_time for number in (0, 1)] == ["1m", "1m"]

@@ -44,6 +44,8 @@ class Turns(NamedTuple):
 class TurnGame(Arena):
     """A zero-sum game of two seats. A game implements the hooks of the first section, for the seats 0 and 1."""
 
+    by_turns = True
+
     most: float
     """The most that can be won."""
 
