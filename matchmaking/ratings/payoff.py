@@ -197,11 +197,11 @@ class Payoff:
         games = wins + draws + losses
         if self.rankings:
             by_seed = self._pairs_by_seed.scores(own, met[played], np.zeros(len(games), int), 1 / games)
-            s, effective = effective_seeds(by_seed, 1)
-            low, high = wilson(s, effective, 0.95)
-            return Score(s.item(), low.item(), high.item(), int(games.sum()), voids)
-        mean, low, high = mean_interval(wins, draws, losses, counts[played][:, 3:8])
-        return Score(mean, low, high, int(games.sum()), voids)
+            (mean,), effective = effective_seeds(by_seed, 1)
+            low, high = wilson(mean, effective.item(), 0.95)
+        else:
+            mean, low, high = mean_interval(wins, draws, losses, counts[played][:, 3:8])
+        return Score(float(mean), float(low), float(high), int(games.sum()), voids)
 
     def scores_of(
         self, i: np.ndarray, j: np.ndarray, group: np.ndarray, groups: int, confidence: float = 0.95
@@ -209,11 +209,9 @@ class Payoff:
         """Return the score of i over the games against j, arrays that broadcast, for each group (M,) of pairs."""
         counts, s, effective = self.effective_scores(i, j, group, groups, confidence)
         low, high = wilson(s, effective, confidence)
-        games = counts[:, :3].sum(1)
-        s = np.where(games > 0, s, np.nan)
-        return [
-            Score(float(s[g]), float(low[g]), float(high[g]), int(games[g]), int(counts[g, 8])) for g in range(groups)
-        ]
+        games, voids = counts[:, :3].sum(1), counts[:, 8]
+        told = (np.where(games > 0, s, np.nan), low, high, games, voids)
+        return [Score(*each) for each in zip(*(column.tolist() for column in told), strict=True)]
 
     def effective_scores(
         self, i: np.ndarray, j: np.ndarray, group: np.ndarray, groups: int, confidence: float = 0.95

@@ -182,7 +182,7 @@ def ignoring_seeds(payoff: Payoff, others: str) -> tuple[float, float]:
     ids=["independent", "halfway", "copies"],
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(draw, before):
-    """Of 500 logs, 95 % ± 1 % would be held; `before` bounds the rate of intervals that ignore seeds.
+    """The rate among 500 logs is within ±1 % of the true one; `before` bounds that of intervals that ignore seeds.
 
     Rows that do not know their seeds have wider intervals.
     """
